@@ -74,11 +74,11 @@ def measure(name: str, count: int, repeat: int) -> dict[str, Any]:
     from mpi4py import MPI
 
     from fenicsx_obstacle import Scene
+    from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
     from fenicsx_obstacle.answers.solver_context import SolverContext
     from fenicsx_obstacle.parallel import peak_memory_mb
     from fenicsx_obstacle.scenes import meshes
     from fenicsx_obstacle.show.explain import integrals
-    from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
     base = Scene(mesh={"shape": "rectangle", "cells": 32}, tension=1, lower="0.1 - (x - 0.5)^2 - (y - 0.5)^2")
     scene = base.change(CHANGES[name])

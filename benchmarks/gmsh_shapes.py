@@ -19,10 +19,10 @@ from ladder import show, solved
 from mpi4py import MPI
 
 from fenicsx_obstacle import NotConverged, Scene
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 MEMBRANE: dict[str, Any] = {"tension": 1, "load": -8, "lower": "-0.05", "boundary": [{"value": 0}]}
 SAND: dict[str, Any] = {"tension": 1, "load": 8, "upper": "distance", "boundary": [{"value": 0}]}

@@ -28,12 +28,12 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 COLUMNS = (
     f"{'cells':>6} {'unknowns':>9} {'method':>12} {'eps':>8} {'Newton':>7} {'CG':>5} {'all N/CG':>9} {'units':>6} "

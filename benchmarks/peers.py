@@ -29,9 +29,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import ObstacleProblem, penalty, releases
+from fenicsx_obstacle.algebra.releases import AMG
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.discrete.levels import of_mesh
 from fenicsx_obstacle.show.figures import figure, save
-from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 COARSEST = 16  # cells a side, where nested iteration begins
 MAX_STEPS = 400
@@ -124,7 +125,7 @@ def iterated(snes: PETSc.SNES, x: PETSc.Vec) -> Result:
     snes.setTolerances(rtol=1e-8, max_it=MAX_STEPS)
     snes.ksp.setType("cg")
     snes.ksp.setTolerances(rtol=1e-8)
-    snes.ksp.pc.setType(releases.AMG)
+    snes.ksp.pc.setType(AMG)
     snes.solve(None, x)
     if snes.getConvergedReason() <= 0:
         raise RuntimeError(f"SNES reason {snes.getConvergedReason()}")

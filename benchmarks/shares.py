@@ -18,9 +18,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
 
 # the functions that take a share each; none calls another of the list
 SHARES = {

@@ -13,14 +13,30 @@ from typing import Any
 
 # compiled for one another: pip brings them together or not at all
 _COMPILED = ("dolfinx", "ufl", "petsc4py", "mpi4py", "h5py")
-if _missing := [name for name in _COMPILED if find_spec(name) is None]:
+
+
+def require(*needed: str) -> None:
+    """Check that libraries are installed.
+
+    Args:
+        *needed: Their names; by default all that scenes and forms need. `fenicsx_obstacle.algebra` needs petsc4py and
+            mpi4py alone.
+
+    Raises:
+        ImportError: If one is missing, with all that are missing and how to install them.
+    """
+    missing = [name for name in _COMPILED if find_spec(name) is None]
+    if not set(missing) & set(needed or _COMPILED):
+        return
     raise ImportError(
-        f"fenicsx_obstacle needs FEniCSx, PETSc and MPI, and {sys.executable} does not find {', '.join(_missing)}. "
+        f"fenicsx_obstacle needs FEniCSx, PETSc and MPI, and {sys.executable} does not find {', '.join(missing)}. "
         "On Debian take apt-get install python3-dolfinx python3-h5py and an environment made by "
         "/usr/bin/python3 -m venv --system-site-packages; elsewhere fenics-dolfinx and h5py of conda-forge, or "
         "pip install 'fenicsx_obstacle[dolfinx]' (Linux on x86_64, Python 3.12 or newer)"
     )
 
+
+require("petsc4py", "mpi4py")
 if find_spec("dolfinx_solver") is not None:  # DOLFINx as pip installs it, which this must load
     import_module("dolfinx_solver")
 
@@ -35,6 +51,7 @@ _HOME = {
     "Scene": "scenes.scene",
     "Table": "measured.table",
     "Solution": "problems.solution",
+    "SystemSolution": "algebra.solve_system",
     "contact_pressure": "forms.penalty",
     "find": "studies.find",
     "nodal_rule": "forms.rules",
@@ -44,6 +61,7 @@ _HOME = {
     "compare": "answers.difference",
     "solve": "answers.adapt",
     "solve_form": "problems.solve_form",
+    "solve_system": "algebra.solve_system",
     "study": "studies.convergence",
 }
 
@@ -57,6 +75,7 @@ __all__ = [
     "PenetrationWarning",
     "Scene",
     "Solution",
+    "SystemSolution",
     "Table",
     "ball_gap",
     "compare",
@@ -67,6 +86,7 @@ __all__ = [
     "plane_gap",
     "solve",
     "solve_form",
+    "solve_system",
     "study",
 ]
 
@@ -76,4 +96,6 @@ def __getattr__(name: str) -> Any:
         return version(__name__)
     if name not in _HOME:
         raise AttributeError(f"module 'fenicsx_obstacle' has no attribute '{name}'")
+    if not _HOME[name].startswith("algebra."):
+        require()
     return getattr(import_module(f"fenicsx_obstacle.{_HOME[name]}"), name)

@@ -28,6 +28,9 @@ _RANK = next((int(os.environ[k]) for k in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "
 try:
     import click
 
+    from fenicsx_obstacle import require
+
+    require()
     from fenicsx_obstacle.cli import commands
     from fenicsx_obstacle.console import guard_streams, lost_output
     from fenicsx_obstacle.errors import LOST_OUTPUT, ObstacleError, PenetrationWarning
@@ -102,7 +105,7 @@ def _name_unread(petsc: list[str]) -> None:
     """Print PETSc options that no solver uses."""
     names = [word[1:] for word in petsc if word[:1] == "-" and word[1:2].isalpha()]
     if names and _RANK == 0:
-        from fenicsx_obstacle.solvers.linear import unread
+        from fenicsx_obstacle.algebra.linear import unread
 
         if found := unread(names):
             click.echo(f"PETSc options that no solver uses: -{', -'.join(found)}; misspelled?", err=True)

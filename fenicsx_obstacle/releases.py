@@ -42,12 +42,6 @@ if np.issubdtype(PETSc.ScalarType, np.complexfloating):
 UFL_ERRORS = (ArithmeticError, TypeError, ValueError, *([ufl.log.UFLException] if OLD else []))
 atan2 = getattr(ufl, "atan2", None) or ufl.atan_2
 FACET_GHOSTS = dmesh.GhostMode.shared_facet
-# SNES's reason for a residual that is infinite or not a number, and the option for the longest step
-_reasons = PETSc.SNES.ConvergedReason
-NOT_A_NUMBER = getattr(_reasons, "DIVERGED_FNORM_NAN", None) or _reasons.DIVERGED_FUNCTION_NANORINF
-LONGEST_STEP = f"snes_linesearch_max{'step' if PETSc.Sys.getVersion() < (3, 24) else 'lambda'}"
-# algebraic multigrid: hypre's BoomerAMG, or PETSc's own where PETSc was built without hypre, as for the wheels of PyPI
-AMG = "hypre" if PETSc.Sys.hasExternalPackage("hypre") else "gamg"
 JIT_WAIT = 25  # seconds to wait for another process that compiles the same form
 
 

@@ -8,9 +8,11 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, releases, solve
+from fenicsx_obstacle.algebra import kernels
+from fenicsx_obstacle.algebra.coarse import COARSEST, CoarseSystem
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete import galerkin, kernels
-from fenicsx_obstacle.discrete.galerkin import COARSEST, GalerkinProblem, coarse_problems
+from fenicsx_obstacle.discrete import hierarchy
+from fenicsx_obstacle.discrete.hierarchy import coarse_problems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from tests.conftest import COMM, by_hand, slow_except
@@ -179,13 +181,13 @@ def test_interpolation_reproduces_linear_functions(mesh, dim):
     x = problem.level.points.T[: problem.level.owned, :dim]
     for coarse in levels:
         transfer = coarse.finer.transfer
-        assert largest(COMM, np.abs(transfer.interpolate(np.ones(coarse.level.owned)) - 1)) < 1e-12
+        assert largest(COMM, np.abs(transfer.interpolate(np.ones(coarse.owned)) - 1)) < 1e-12
         theirs = np.stack([transfer.inject(np.ascontiguousarray(axis)) for axis in x.T], axis=1)
         found = np.stack([transfer.interpolate(np.ascontiguousarray(axis)) for axis in theirs.T], axis=1)
         off = np.abs(found - x).max(axis=1, initial=0.0)
-        exact = total(COMM, np.count_nonzero(off < 1e-6)) / coarse.finer.level.dofs
+        exact = total(COMM, np.count_nonzero(off < 1e-6)) / coarse.finer.dofs
         assert exact > (0.85 if dim < 3 or coarse is levels[0] else 0.5)
-        spacing = 2 * (4.0 if dim == 2 else 2.0) / coarse.level.dofs ** (1 / dim)
+        spacing = 2 * (4.0 if dim == 2 else 2.0) / coarse.dofs ** (1 / dim)
         assert largest(COMM, off) < spacing
         x = theirs
     assert total(COMM, len(x)) <= max(COARSEST.values())
@@ -216,7 +218,7 @@ def test_counts_are_those_of_one_rank(method):
     assert abs(iterations - iterations_alone) <= steps
     assert ours.record["contact"]["area"] == pytest.approx(alone.record["contact"]["area"], rel=1e-9)
     assert ours.record["energy"] == pytest.approx(alone.record["energy"], rel=1e-9)
-    levels = [[one.level.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
+    levels = [[one.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
     assert levels[0] == levels[1]
 
 
@@ -312,20 +314,20 @@ def test_in_time(rate):
 def test_where_levels_do_not_help_a_cold_start_does(monkeypatch):
     """What the levels make of a problem decides nothing but the start."""
 
-    def spoiled(self, *given):
-        made(self, *given)
-        self.forms.stiffness.scale(np.nan)
+    def spoiled(self, *given, **how):
+        made(self, *given, **how)
+        self.matrices.stiffness.scale(np.nan)
 
-    made = GalerkinProblem.__init__
+    made = CoarseSystem.__init__
     scene = Scene(mesh=square(48), tension=1, load=8, upper=0.3)
     cold = solve(scene, start="cold")
-    monkeypatch.setattr(GalerkinProblem, "__init__", spoiled)
+    monkeypatch.setattr(CoarseSystem, "__init__", spoiled)
     assert difference(solve(scene), cold) <= 1e-9
 
 
 def test_without_a_compiler(monkeypatch):
     """There are no algebraic levels then, and a cold start instead."""
-    monkeypatch.setattr(galerkin, "kernels", lambda comm: None)
+    monkeypatch.setattr(hierarchy, "kernels", lambda comm: None)
     scene = Scene(mesh=square(48), tension=1, load=8, upper=0.3)
     ours, cold = solve(scene), solve(scene, start="cold")
     assert counts(ours) == counts(cold)

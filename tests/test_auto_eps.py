@@ -9,9 +9,9 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, ObstacleProblem, PenetrationWarning, Scene, solve
+from fenicsx_obstacle.algebra.penalty_parameter import PENETRATION
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import functionspace
-from fenicsx_obstacle.solvers.penalty_parameter import PENETRATION
 from tests.conftest import COMM
 
 NOTHING = 1e20  # no obstacle

@@ -192,7 +192,7 @@ def distance(problem: Problem, owned: np.ndarray) -> float:
     e.x.array[: problem.level.owned] = owned[: problem.level.owned]
     e.x.scatter_forward()
     Ae = vec(e).duplicate()
-    problem.nodal.stiffness.mult(vec(e), Ae)
+    problem.matrices.stiffness.mult(vec(e), Ae)
     value = np.sqrt(Ae.dot(vec(e)))
     Ae.destroy()
     return value
@@ -313,7 +313,7 @@ def random_case(**given) -> tuple[Bound, float, float]:
     if given["noise"]:
         x, y = problem.level.points[:2]
         u.x.array[~fixed(problem)] += (given["noise"] * np.sin(37 * x + 11 * y) * np.cos(91 * y))[~fixed(problem)]
-        problem.set_reference(u.x.array)
+        problem.set_reference(u.x.array[: problem.owned])
     bound = context.estimator.bound()
     simplices, (points, weights) = context.estimator.element.simplices, halved_rule(1)
     x, y = np.moveaxis(points @ simplices.x, 2, 0)
@@ -329,7 +329,7 @@ def random_case(**given) -> tuple[Bound, float, float]:
 
 def fixed(problem: Problem) -> np.ndarray:
     """Whether u is given at local dofs."""
-    given = np.zeros(len(problem.w.x.array), dtype=bool)
+    given = np.zeros(len(problem.data.fixed[1].x.array), dtype=bool)
     given[problem.data.fixed[0]] = True
     return given
 

@@ -615,7 +615,7 @@ def test_a_form_has_the_integrals_of_its_effects(name):
     scene, keys = SCENES[name]
     scene = scene.change({"mesh.cells": 8})
     with closing(SolverContext(scene)) as context:
-        assert len(context.problem.forms._a_minus_f.integrals()) == len(keys)
+        assert len(context.problem.law._a_minus_f.integrals()) == len(keys)
         constrained = context.problem.constrained
     text = " ".join(explain(scene).split())
     count = len(keys) + constrained
@@ -627,8 +627,8 @@ def figures_of(scene):
     """What an effect that is not named must not change: the form, the steps, the energy."""
     with closing(SolverContext(scene)) as context:
         record = context.answer().record
-        form = context.problem.forms._a_minus_f
-        sizes = [len(vars(context.problem.forms)), len(vars(context.problem.data)), len(form.coefficients())]
+        form = context.problem.law._a_minus_f
+        sizes = [len(vars(context.problem.law)), len(vars(context.problem.data)), len(form.coefficients())]
         steps = [record[key] for key in ("newton_total", "krylov_total", "energy")]
         return [form.signature(), *sizes, *steps]
 

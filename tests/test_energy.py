@@ -40,19 +40,19 @@ def test_with_a_point_force():
 
 def compare(scene):
     problem = SolverContext(scene, COMM).problem
-    forms, x = problem.forms, problem.level.points
+    forms, x = problem.law, problem.level.points
     assert isinstance(forms, Nodal)
-    u_values = np.cos(3 * x[0]) + 2 * x[1] ** 2
+    u_values = (np.cos(3 * x[0]) + 2 * x[1] ** 2)[: problem.owned]
     problem.set_reference(u_values)
     for penalised in (False, True):
         exact = Forms.energy(forms, penalised=penalised)
         assert forms.energy(penalised=penalised) == pytest.approx(exact, rel=1e-12)
-    kept = problem.w.x.array.copy(), problem.reference.x.array.copy()
+    kept = problem.w.copy(), problem.state.r.copy()
     for given in (0.0, u_values):
         ours, exact = forms.forces_at(given), Forms.forces_at(forms, given)
         assert largest(COMM, np.abs(ours - exact)) <= 1e-12 * largest(COMM, np.abs(exact))
-    for now, then in zip((problem.w, problem.reference), kept, strict=True):
-        assert np.array_equal(now.x.array, then)
+    for now, then in zip((problem.w, problem.state.r), kept, strict=True):
+        assert np.array_equal(now, then)
 
 
 @pytest.mark.parametrize("given", [False, True])

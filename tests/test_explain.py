@@ -10,10 +10,10 @@ from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.hierarchy import nested
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.show.explain import explain, explained, integrals
-from fenicsx_obstacle.solvers.choose import nested
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.cases import case
 
@@ -40,7 +40,7 @@ def test_explained_and_done(name):
     with closing(SolverContext(scene, COMM)) as context:
         told = next(line for line in parts["mesh"] if "unknowns" in line)
         assert float(told.split()[1]) == pytest.approx(context.problem.level.dofs, rel=0.03)
-        formed = len(context.problem.forms._a_minus_f.integrals())
+        formed = len(context.problem.law._a_minus_f.integrals())
         assert integrals(scene) == formed + context.problem.constrained
         assert nested(scene.effects, scene.pair, scene.options) == ("truncated multigrid" in text)
         assert context.problem.symmetric == ("GMRES" not in text)

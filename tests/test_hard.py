@@ -10,10 +10,10 @@ import pytest
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, solve
+from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.solved import ReferenceProblem
-from fenicsx_obstacle.solvers.linear import defaults
-from fenicsx_obstacle.solvers.newton import smallest_eps
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.cases import FOLDER, Case, case, cases, named
 from tests.hard.invariants import beside_inequality, falling, of_one, same, violated

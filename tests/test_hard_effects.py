@@ -126,7 +126,7 @@ def test_energy_of_rules_that_differ():
     # a derivative of the energy is the residual
     with closing(SolverContext(case("mattress").on(0))) as context:
         problem = context.problem
-        x = problem.state()
+        x = problem.vector()
         residual, step = x.duplicate(), x.duplicate()
         problem.residual(x, residual, penalised=False)
         x.copy(step)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import NotConverged, solve
+from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.newton import solve_penalty
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.linear import defaults
-from fenicsx_obstacle.solvers.newton import solve_penalty
 from tests.conftest import COMM, membrane
 from tests.hard.cases import case
 from tests.theory.iteration import (
@@ -120,7 +120,7 @@ def test_cycle_is_broken_by_the_line_search():
     with defaults("penalty_", DENSE):
         outcome = solve_penalty(problem, CYCLE_EPS)
     assert outcome.converged and problem.met[:6] == met[:6]
-    w = problem.w.x.array
+    w = problem.w
     assert np.abs(problem.matrix @ w + np.maximum(w, 0) / CYCLE_EPS - problem.b).max() < 1e-9
 
 
@@ -128,7 +128,7 @@ def test_sets_that_grow_where_they_must_not_are_refused():
     """Told that its matrix is an M-matrix, the example that cycles shows what an error in the program would."""
     problem = Small(CYCLE, CYCLE_LOAD)
     assert not problem.active_sets_shrink
-    problem.active_sets_shrink = True
+    problem.m_matrix = True
     with defaults("penalty_", DENSE), pytest.raises(NotConverged, match="grew on an M-matrix") as error:
         solve_penalty(problem, CYCLE_EPS, successive=True)
     assert error.value.iterations == 2

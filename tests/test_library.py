@@ -13,6 +13,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError
+from fenicsx_obstacle.algebra.newton import solve_penalty
+from fenicsx_obstacle.algebra.vi import solve_vi
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import field
@@ -24,8 +26,6 @@ from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import functionspace, settle
-from fenicsx_obstacle.solvers.newton import solve_penalty
-from fenicsx_obstacle.solvers.vi import solve_vi
 
 COMM = MPI.COMM_WORLD
 

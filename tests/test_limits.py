@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import InputError
+from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.solvers.options import SolverOptions
 from tests.conftest import COMM, membrane
 from tests.theory.limits import approach, extremes
 from tests.theory.samples import sample

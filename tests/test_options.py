@@ -7,10 +7,10 @@ from subprocess import run
 import pytest
 
 from fenicsx_obstacle import InputError
+from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
+from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.choose import penalty_parameter
-from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
 from tests.conftest import COMM, membrane
 
 WRONG = {
@@ -74,7 +74,7 @@ def test_options_need_no_scene():
     """Options are there without scenes."""
     code = (
         "import sys; sys.modules['fenicsx_obstacle.scenes'] = None\n"
-        "from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions\n"
+        "from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions\n"
         "print(SolverOptions(eps=EpsFormula('h', lambda h: h)).formula.value(0.5))"
     )
     assert run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "0.5\n"

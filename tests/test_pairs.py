@@ -8,13 +8,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
+from fenicsx_obstacle.algebra.newton import penalty_pressure
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.solvers.newton import penalty_pressure
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, slow_except
 
@@ -89,7 +89,7 @@ def test_pressure_balances_the_load(name):
     """a(u, v) = f(v) + I(p, v) at free nodes: p in Q_h is what (3.7) says, for each nodal pair."""
     context = SolverContext(DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "solve.element": name}))
     problem, answer = context.problem, context.answer()
-    x = problem.state()
+    x = problem.vector()
     out = x.duplicate()
     problem.residual(x, out)
     assert largest(COMM, np.abs(out.array)) < 1e-9
@@ -125,7 +125,7 @@ def test_voronoi_areas_are_consistent():
         x = releases.vec(problem.w).duplicate()
         x.array[:] = (problem.level.points[:, : problem.level.owned] ** 2).sum(axis=0)
         out = x.duplicate()
-        problem.nodal.stiffness.mult(x, out)
+        problem.matrices.stiffness.mult(x, out)
         inner = ~problem.fixed
         lumped = out.array[inner] / problem.weights[inner]
         assert largest(COMM, np.abs(lumped + 4)) < 1e-9

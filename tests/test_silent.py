@@ -61,5 +61,5 @@ def test_jumps_of_the_tension_keep_quadratic_elements_definite():
     data = {**JUMP, "tension": "where(x < 1/3, 1, 1e-6)", "lower": -0.5}
     scene = Scene(mesh=mesh, **data).change({"solve.element": "P2"})
     with closing(SolverContext(scene)) as context:
-        assert smallest(COMM, context.problem.nodal.diagonal) > 0
+        assert smallest(COMM, context.problem.matrices.diagonal) > 0
         assert context.answer(scene.options_with(method="vi")).record["converged"]

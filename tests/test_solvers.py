@@ -8,11 +8,11 @@ import pytest
 from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
+from fenicsx_obstacle.algebra import newton
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import CYCLING
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.solvers import newton
-from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import CYCLING
 from tests.conftest import BENCHMARKS, COMM, DEMOS, MORE_ON_SEVERAL_RANKS, membrane, slow_except
 
 sys.path.insert(0, str(DEMOS))
@@ -170,10 +170,11 @@ def test_nodal_path_is_the_forms(name):
     from fenicsx_obstacle.discrete.assembly import Forms
 
     problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16})).problem
-    problem.eps.value = 1e-3
-    own, fast = problem.level.owned, problem.forms
+    problem.eps = 1e-3
+    own, fast = problem.level.owned, problem.law
     x = problem.level.points
-    problem.w.x.array[:] += 0.3 * np.sin(7 * x[0] + 3 * x[1])
+    problem.w[:] += 0.3 * np.sin(7 * x[0] + 3 * x[1])[:own]
+    problem.state.share()
     out = [fast.vector() for _ in range(4)]
     fast.elastic(out[0])
     fast.reaction(out[1])
@@ -182,7 +183,7 @@ def test_nodal_path_is_the_forms(name):
     for ours, forms in ((0, 2), (1, 3)):
         scale = largest(COMM, np.abs(out[forms].array[:own]))
         assert largest(COMM, np.abs(out[ours].array - out[forms].array)) <= 1e-13 * scale
-    A = problem.jacobian(problem.state())
+    A = problem.jacobian(problem.vector())
     B = A.duplicate()
     Forms.jacobian(fast, B, penalised=True)
     scale = B.norm(PETSc.NormType.INFINITY)

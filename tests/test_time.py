@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.answers.steps import difference, extrapolation
 from fenicsx_obstacle.answers.time_history import TimeHistory
-from fenicsx_obstacle.solvers.steps import difference, extrapolation
 from tests.conftest import COMM, DEMOS, MORE_ON_SEVERAL_RANKS, slow_except
 
 INTERVAL = {"shape": "interval", "cells": 16}

@@ -12,6 +12,8 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
@@ -24,8 +26,6 @@ from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.bodies import Body
 from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities, contact_remarks
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.options import SolverOptions
-from fenicsx_obstacle.solvers.stopping import StepMonitor
 from fenicsx_obstacle.text import one_line
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fenicsx_obstacle.answers.steps import Steps
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_arrays, renumbered, to_arrays
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.time_discretization import INERTIA, NO_STEP, TimeDiscretization
@@ -17,7 +18,6 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.parallel import agree, gathered, on_root, replaced
-from fenicsx_obstacle.solvers.steps import Steps
 
 NAME = "checkpoint.h5"
 NEAR = 1e-6  # of h: how far a node may be from where it was

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fenicsx_obstacle.algebra.stopping import Step
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.duality import in_q
@@ -15,7 +17,6 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.stopping import Step
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,8 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
     """
     found: list[Iterate] = []
 
-    def monitor(problem: Problem, step: Step, active: np.ndarray) -> None:
+    def monitor(problem: System, step: Step, active: np.ndarray) -> None:
+        assert isinstance(problem, Problem)
         contact = in_q(problem.level, (active != 0).astype(float))
         shown = Answer(problem.level, problem.solution(), contact, contact, None, None, (), {}, scene=scene)
         arrays = gather(shown)

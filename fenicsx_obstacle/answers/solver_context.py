@@ -15,9 +15,19 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import garbage
+from fenicsx_obstacle.algebra import multigrid
+from fenicsx_obstacle.algebra.methods import Method, method_of
+from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.nested import solve_from, solve_nested
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import StepMonitor
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.hierarchy import chain, hierarchy, nested, stepwise
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -28,14 +38,6 @@ from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers import multigrid
-from fenicsx_obstacle.solvers.choose import Method, chain, hierarchy, method_of, nested, stepwise
-from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.nested import solve_from, solve_nested
-from fenicsx_obstacle.solvers.options import SolverOptions
-from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
-from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import StepMonitor
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
@@ -190,7 +192,7 @@ class SolverContext:
             keep: With [time]: folder for states on the way.
             monitor: Called after each Newton step, on all levels.
             errors: Measure them, if the scene has an exact solution.
-            near: Without [time]: values of u, ghosts included, of a solution that is near, to begin from.
+            near: Without [time]: owned values of u, of a solution that is near, to begin from.
             uncertainty: Solve the two next coarser meshes to the end as well, for an uncertainty of each quantity.
 
         Raises:
@@ -199,7 +201,7 @@ class SolverContext:
         """
         problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # raises before anything is solved
-        grids: Sequence[Multigrid | Problem] = []
+        grids: Sequence[Multigrid | System] = []
         if nested(scene.effects, scene.pair, options):
             looked_at = uncertainty or monitor is not None
             grids = found if len(found := self._hierarchy(on_meshes=looked_at)) > 1 else []
@@ -207,8 +209,9 @@ class SolverContext:
         if at_rest and stepwise(scene.effects, scene.pair, options) and problem.level.coarse is not None:
             grids = self._chain()
         start = time.perf_counter()
-        if problem.forms.multiplier is not None:  # of an earlier solve
-            problem.forms.multiplier.x.array[:] = 0.0
+        if problem.state.multiplier is not None:  # of an earlier solve
+            problem.state.multiplier[:] = 0.0
+            problem.state.share_all()
         moment = problem.data.moment
         if (
             scene.time is not None and moment is not None and moment.t > 0
@@ -242,7 +245,7 @@ class SolverContext:
         return self.measured(answer) if errors else answer
 
     def _uncertainty(
-        self, answer: Answer, grids: Sequence[Multigrid | Problem], options: SolverOptions, *, solved: bool
+        self, answer: Answer, grids: Sequence[Multigrid | System], options: SolverOptions, *, solved: bool
     ) -> dict[str, Any]:
         """What coarser meshes say of each quantity, or why they say nothing (collective)."""
         from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
@@ -284,7 +287,7 @@ class SolverContext:
         return answer if self.exact is None else _with_errors(answer, self.exact)
 
     def _at_rest(
-        self, method: Method, grids: Sequence[Multigrid | Problem], near: np.ndarray | None = None
+        self, method: Method, grids: Sequence[Multigrid | System], near: np.ndarray | None = None
     ) -> list[Outcome]:
         """Solve from a near solution, from the coarsest level on, or from a cold start (collective)."""
         if not grids:
@@ -298,7 +301,7 @@ class SolverContext:
             return solve_nested(grids[-new:], method.solve, stiffness, self._hierarchy()[-1 - new].problem)
         return solve_nested(grids, method.solve, stiffness, start=near)
 
-    def _time_stepper(self, method: Method, grids: Sequence[Multigrid | Problem]) -> TimeStepper:
+    def _time_stepper(self, method: Method, grids: Sequence[Multigrid | System]) -> TimeStepper:
         """The time stepper of the scene (collective)."""
         from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 

@@ -13,20 +13,21 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.steps import Steps
 from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory
 from fenicsx_obstacle.discrete.admissible import giver, worst
 from fenicsx_obstacle.discrete.data_within_steps import DataWithinSteps
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
+from fenicsx_obstacle.discrete.trapped_drift import check_drift_in_time
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import fields_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.state import State
-from fenicsx_obstacle.solvers.plausibility import check_drift_in_time
-from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.steps import Steps
 from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
@@ -45,7 +46,7 @@ class TimeStepper:
     def __init__(
         self,
         problem: Problem,
-        below: Sequence[Problem],
+        below: Sequence[System],
         solve: Callable[[], list[Outcome]],
         state: Callable[[], State],
         reported: Callable[[State], Row],
@@ -217,7 +218,8 @@ class TimeStepper:
         u = problem.data.nodal(start).x.array.copy()
         if self.moments.order == INERTIA:
             self._check_edge(u)
-        lower, upper = (np.broadcast_to(side, len(u)) for side in problem.obstacles())
+        sides = (problem.data.lower, -np.inf), (problem.data.upper, np.inf)
+        lower, upper = (np.full(len(u), none) if side is None else side.x.array for side, none in sides)
         beyond = np.maximum(lower - u, u - upper)
         beyond[problem.data.fixed[0]] = -np.inf
         comm = problem.level.comm
@@ -271,7 +273,7 @@ class TimeStepper:
         if self.moments.velocity is None:
             if edges_move:
                 raise InputError(f"{data.model.source}: [time] velocity: is needed if boundary values depend on t")
-            return np.zeros(len(self.problem.w.x.array))
+            return np.zeros(len(data.fixed[1].x.array))
         velocity = data.nodal(self.moments.velocity).x.array.copy()
         if not edges_move:
             velocity[data.fixed[0]] = 0.0
@@ -308,13 +310,14 @@ class TimeStepper:
         """Set the data of a time on all levels."""
         assert self.problem.data.moment is not None
         self.problem.data.moment.t = t
-        changed = self.problem.move(u_values)
+        changed = self.problem.move(u_values[: self.problem.owned])
         if changed or self.moments.order == EQUILIBRIA:
             for problem in reversed(self.below):  # algebraic levels take their data from the finer one
                 problem.move(problem.cold_start())
 
     def _heights(self) -> np.ndarray:
-        return self.problem.w.x.array + self.problem.reference.x.array
+        """u, ghosts included."""
+        return self.problem.solution().x.array
 
     def _count(self, outcomes: Sequence[Outcome]) -> None:
         self._newton += sum(outcome.iterations for outcome in outcomes)
@@ -323,8 +326,8 @@ class TimeStepper:
     def _remember(self) -> None:
         """With inertia: the forces of the newest moment, which the next step averages with its own."""
         if self.moments.order == INERTIA:
-            out = self.problem.forms.vector()
-            self.problem.forms.at_rest(out)
+            out = self.problem.law.vector()
+            self.problem.law.at_rest(out)
             self.steps.impulse = out.array_r.copy()
             out.destroy()
 

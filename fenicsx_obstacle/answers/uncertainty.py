@@ -16,18 +16,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from fenicsx_obstacle.algebra.methods import method_of
+from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.nested import as_multigrid, begin_from, problem_of
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.galerkin import GalerkinProblem
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import PenetrationWarning
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.choose import method_of
-from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.nested import begin_from
-from fenicsx_obstacle.solvers.options import SolverOptions
 
 MESHES = 3
 EPS_TIMES = (16.0, 4.0)  # that of the finest mesh: eps is scaled as h^2
@@ -116,7 +116,7 @@ def compared(found: Sequence[Any], degree: int = 1, *, resolved: bool = True, bo
 
 
 def on_coarser_meshes(
-    grids: Sequence[Multigrid | Problem],
+    grids: Sequence[Multigrid | System],
     options: SolverOptions,
     eps: float | None,
     report: Callable[[Problem, State], Values],
@@ -138,15 +138,14 @@ def on_coarser_meshes(
     Raises:
         NotConverged: With PETSc's reason.
     """
-    meshes = [grid for grid in grids if not isinstance(_problem(grid), GalerkinProblem)]
-    pair = _problem(meshes[-1]).level.pair if meshes else None
+    meshes = [(problem, as_multigrid(grid)) for grid in grids if isinstance(problem := problem_of(grid), Problem)]
+    pair = meshes[-1][0].level.pair if meshes else None
     of_degree_2 = pair is not None and pair.has_p1_coarse_space
     coarser = meshes[: -2 if of_degree_2 else -1][1 - MESHES :]
     if len(coarser) < MESHES - 1:
         return []
     found, below = [], None
-    for times, grid in zip(EPS_TIMES, coarser, strict=True):
-        problem, multigrid = _problem(grid), grid if isinstance(grid, Multigrid) else None
+    for times, (problem, multigrid) in zip(EPS_TIMES, coarser, strict=True):
         if of_degree_2:
             assert pair is not None and multigrid is not None
             fine = Problem(Data(problem.model, levels.of_pair(problem.level, pair)))
@@ -201,7 +200,3 @@ def reason(scene: Scene) -> str | None:
 
 def _scaled(options: SolverOptions, eps: float | None, times: float) -> SolverOptions:
     return options if eps is None else replace(options, eps=times * eps)
-
-
-def _problem(grid: Multigrid | Problem) -> Problem:
-    return grid.problem if isinstance(grid, Multigrid) else grid

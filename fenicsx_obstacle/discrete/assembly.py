@@ -18,6 +18,8 @@ from petsc4py import PETSc
 from ufl.algorithms import expand_derivatives
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.affine import MOSTLY, Affine
+from fenicsx_obstacle.algebra.system import State
 from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
@@ -26,9 +28,37 @@ from fenicsx_obstacle.parallel import largest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
-HELD = 1e16  # times the diagonal of a row whose solution is to be zero
-MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
 ROUND_OFF = 1e-12  # of the sum of the forces
+
+
+class FunctionState(State):
+    """A state whose arrays are the owned values of Functions, for forms (all methods collective)."""
+
+    def __init__(self, forms: Forms):
+        """Refer to the Functions and the Constant of forms."""
+        self._forms, own = forms, forms.data.level.owned
+        self.w_vector, self.r_vector = releases.vec(forms.w), releases.vec(forms.reference)
+        self.w, self.r = forms.w.x.array[:own], forms.reference.x.array[:own]
+        self.below, self.above = (None if gap is None else gap.x.array[:own] for gap in (forms.below, forms.above))
+        if forms.multiplier is not None:
+            self.multiplier = forms.multiplier.x.array[: forms.multiplier.function_space.dofmap.index_map.size_local]
+
+    @property
+    def eps(self) -> float:
+        return float(self._forms.eps.value)
+
+    @eps.setter
+    def eps(self, value: float) -> None:
+        self._forms.eps.value = value
+
+    def share(self) -> None:
+        self._forms.w.x.scatter_forward()
+
+    def share_all(self) -> None:
+        forms = self._forms
+        for function in (forms.w, forms.reference, forms.below, forms.above, forms.multiplier):
+            if function is not None:
+                function.x.scatter_forward()
 
 
 class Forms:
@@ -45,6 +75,7 @@ class Forms:
         forces: Forces at owned nodes that are in no form, or None.
         impulse: Such forces of the beginning of a step in time, or None.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
+        state: The owned values of these Functions.
     """
 
     def __init__(self, effects: Sequence[Effect], data: Data):
@@ -59,6 +90,7 @@ class Forms:
         self.thickness = 1.0
         self._set_contact_measure()
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
+        self.state: State = FunctionState(self)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
@@ -155,13 +187,15 @@ class Forms:
         return [forces for forces in (self.forces, self.impulse if moving else None) if forces is not None]
 
     def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
-        """a(u, .) - f at owned dofs for a u given at local dofs; the state stays as it is."""
-        w, r, out = self.w.x.array, self.reference.x.array, self.vector()
-        kept = w.copy(), r.copy()
-        r[:], w[:] = 0.0, u_values
+        """a(u, .) - f at owned dofs for this u; the state stays as it is."""
+        state, out = self.state, self.vector()
+        kept = state.w.copy(), state.r.copy()
+        state.r[:], state.w[:] = 0.0, u_values
+        state.share_all()
         self.set_reference()
         self.elastic(out)
-        w[:], r[:] = kept
+        state.w[:], state.r[:] = kept
+        state.share_all()
         self.set_reference()
         found = out.array.copy()
         out.destroy()
@@ -197,7 +231,7 @@ class Forms:
         parts = (fem.assemble_scalar(form) for order, form in self._energies if moving or order == 0)
         value = total(comm, sum(parts))
         for forces in self._given(moving=moving):
-            value -= total(comm, forces * (self.w.x.array + self.reference.x.array)[: len(forces)])
+            value -= total(comm, forces * (self.state.w + self.state.r))
         return value + (total(comm, fem.assemble_scalar(self._form("contact energy"))) if penalised else 0.0)
 
     @cached_property
@@ -245,24 +279,27 @@ class Forms:
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
 
 
-class Nodal(Forms):
+class Nodal(Affine, Forms):
     """The same for affine effects, from A, f and D that are assembled once (all methods collective)."""
 
     def __init__(self, effects: Sequence[Effect], data: Data):
-        super().__init__(effects, data)
-        self.stiffness = self._assembled()
-        self._constant, self._minus_load = self.vector(), self.vector()
+        Forms.__init__(self, effects, data)
         loads = self._terms(self._zero())
         loaded = any(integral.integrand() != 0 for integral in loads.integrals())
         self._loads = releases.form(loads) if loaded else None
+        stiffness, minus_load = self._assembled(), Forms.vector(self)
+        Affine.__init__(self, data.level.comm, self.state, stiffness, minus_load, np.empty(0), self.fixed)
         self._load()
-        self._D = self._point_weights()
+        self.D = self._point_weights()
         if data.level.pair.own_weights:
             self._lump(weights_of_cells(data.level.pair, data.level.V))
 
+    def vector(self) -> PETSc.Vec:
+        return Forms.vector(self)
+
     def _assembled(self) -> PETSc.Mat:
         """The stiffness."""
-        stiffness = super().create_matrix()
+        stiffness = Forms.create_matrix(self)
         fem.petsc.assemble_matrix(stiffness, self._stiffness)
         stiffness.assemble()
         return stiffness
@@ -279,19 +316,18 @@ class Nodal(Forms):
 
     def _load(self) -> None:
         if self._loads is None:
-            self._minus_load.set(0.0)
+            self.minus_load.set(0.0)
         else:
-            self._assemble(self._minus_load, self._loads)
+            self._assemble(self.minus_load, self._loads)
         for forces in self._given():
-            self._minus_load.array[:] -= forces
+            self.minus_load.array[:] -= forces
 
     def renew(self, A: PETSc.Mat, *, stiffness: bool) -> bool:
         self._load()
         changed = stiffness or self._stiffness_moves
         if changed:
             self._assemble_again()
-            self.stiffness.copy(A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-            self._hold_fixed(A)
+            self.take_stiffness(A)
         return changed
 
     @cached_property
@@ -311,83 +347,25 @@ class Nodal(Forms):
             self._assemble(part, releases.form(effect.terms(zero, self.v, self.data)))
             self.add_forces(f * D + part.array_r)
             part.destroy()
-        self._D = D
+        self.D = D
 
     def add_forces(self, forces: np.ndarray) -> None:
         """Add forces at owned nodes to the load (collective)."""
         self.forces = forces if self.forces is None else self.forces + forces
-        self._minus_load.array[:] -= forces
+        self.minus_load.array[:] -= forces
         self.set_reference()
 
-    def pushes(self, side: int) -> bool:
-        """Whether the nodal forces have the sign of a side, -1 or 1, up to a small part of their sum (collective).
-
-        Where forces were added at vertices, any beyond round-off counts.
-        """
-        forces, comm = -self._minus_load.array_r, self.data.level.comm
-        share = ROUND_OFF if self.forces is not None and self.data.level.pair.at_vertices else MOSTLY
-        return total(comm, np.maximum(side * forces, 0.0)) > share * total(comm, np.abs(forces))
-
-    def weights(self) -> np.ndarray:
-        return self._D
-
-    @cached_property
-    def _vectors(self) -> tuple[PETSc.Vec, PETSc.Vec]:
-        """w and r."""
-        return releases.vec(self.w), releases.vec(self.reference)
-
-    def set_reference(self) -> None:
-        self.stiffness.mult(self._vectors[1], self._constant)
-        self._constant.axpy(1.0, self._minus_load)
-
-    def elastic(self, out: PETSc.Vec) -> None:
-        self.stiffness.multAdd(self._vectors[0], self._constant, out)
-
-    def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
-        u, force = self._scratch, self._constant.duplicate()
-        u.array[:] = np.broadcast_to(u_values, len(self.w.x.array))[: len(u.array_r)]
-        self.stiffness.multAdd(u, self._minus_load, force)
-        found = force.array.copy()
-        force.destroy()
-        return found
-
-    def reaction(self, out: PETSc.Vec) -> None:
-        values = self._excess()
-        values *= self._D
-        values /= float(self.eps.value)
-        out.array[:] = values
-
-    def create_matrix(self) -> PETSc.Mat:
-        A = self.stiffness.duplicate(copy=True)
-        self._scratch = A.createVecLeft()  # every use overwrites it
-        self._hold_fixed(A)
-        return A
-
-    def _hold_fixed(self, A: PETSc.Mat) -> None:
-        first, _ = A.getOwnershipRange()
-        A.zeroRowsColumns((first + self.fixed).astype(PETSc.IntType), 1.0)
-        A.getDiagonal(self._scratch)
-        self.diagonal = self._scratch.array.copy()
-
-    def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
-        self.add_penalty_diagonal(A, self.penalty_diagonal() if penalised else None)
+    def leans(self, side: int, share: float = MOSTLY) -> bool:
+        """As before; where forces were added at vertices, any beyond round-off counts."""
+        added = self.forces is not None and self.data.level.pair.at_vertices
+        return super().leans(side, ROUND_OFF if added else share)
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         if all(effect.quadratic for effect in self.effects):
-            value = self._energy_at_zero() + self._work()
+            value = self._energy_at_zero() + self.work()
         else:
-            value = super().energy(penalised=False, moving=moving)
-        return value + (self._penalty_energy() if penalised else 0.0)
-
-    def _work(self) -> float:
-        """a(u, u)/2 - f(u) by the matrix: integrals over the cells would take as long as assembling it."""
-        u, force = self._scratch, self._constant.duplicate()
-        own = len(u.array_r)
-        np.add(self.w.x.array[:own], self.reference.x.array[:own], out=u.array)
-        self.stiffness.mult(u, force)
-        value = 0.5 * u.dot(force) + u.dot(self._minus_load)
-        force.destroy()
-        return value
+            value = Forms.energy(self, penalised=False, moving=moving)
+        return value + (self.penalty_energy() if penalised else 0.0)
 
     def _energy_at_zero(self) -> float:
         """The energy of u = 0, of supports that are at rest elsewhere."""
@@ -400,30 +378,3 @@ class Nodal(Forms):
         nothing = {zero: ufl.constantvalue.Zero(zero.ufl_shape)}
         parts = [ufl.replace(expand_derivatives(part), nothing) for _, part in self._energies_of(zero)]
         return [releases.form(part) for part in parts if any(one.integrand() != 0 for one in part.integrals())]
-
-    def _penalty_energy(self) -> float:
-        """I((u - g)^+ ^2, 1)/(2 eps)."""
-        return total(self.data.level.comm, self._D * self._excess() ** 2) / (2 * float(self.eps.value))
-
-    def penalty_diagonal(self) -> np.ndarray:
-        """The derivative of the penalty: D_i / eps at owned dofs in contact, otherwise 0."""
-        penalty_diagonal = self._D * (self._excess() != 0) / float(self.eps.value)
-        penalty_diagonal[self.fixed] = 0.0
-        return penalty_diagonal
-
-    def add_penalty_diagonal(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
-        """Set A to the stiffness plus a diagonal at owned dofs; an infinite entry fixes the dof at zero."""
-        self._scratch.array[:] = self.diagonal
-        if penalty_diagonal is not None:
-            self._scratch.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)
-        A.setDiagonal(self._scratch)
-
-    def _excess(self) -> np.ndarray:
-        """(u - upper)^+ - (lower - u)^+ at owned dofs."""
-        own = len(self._D)
-        w, excess = self.w.x.array[:own], np.zeros(own)
-        for gap, part in ((self.above, np.maximum), (self.below, np.minimum)):
-            if gap is not None:
-                beyond = w - gap.x.array[:own]
-                excess += part(beyond, 0.0, out=beyond)
-        return excess

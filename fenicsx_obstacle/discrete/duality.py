@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import fem
+from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
@@ -13,6 +14,21 @@ from fenicsx_obstacle.discrete.levels import Level
 def point_cells(level: Level) -> np.ndarray:
     """The owned dof of Q_h of each owned cell, where pressures are constant on cells."""
     return releases.cell_dofs(level.Q)[: own_cells(level.mesh), 0]
+
+
+def cell_means(level: Level) -> PETSc.Mat:
+    """The map from values at owned dofs of V_h to the means of the nodal values of each cell, at the owned dofs of Q_h
+    (collective)."""
+    own, dofs, rows = own_cells(level.mesh), releases.cell_dofs(level.V), point_cells(level)
+    columns = level.V.dofmap.index_map.local_to_global(dofs[:own].ravel().astype(np.int32)).reshape(own, -1)
+    inverse = np.argsort(rows)
+    columns = columns[inverse].astype(PETSc.IntType)
+    count = columns.shape[1]
+    starts = np.arange(0, columns.size + 1, count, dtype=PETSc.IntType)
+    size = (own, None), (level.owned, None)
+    return PETSc.Mat().createAIJ(
+        size, csr=(starts, columns.ravel(), np.full(columns.size, 1.0 / count)), comm=level.comm
+    )
 
 
 def in_q(level: Level, values: np.ndarray) -> fem.Function:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
     from fenicsx_obstacle.discrete.problem import Problem
 
+HINT = "; no solution exists where the load is beyond the limit load of the film"
 ROUNDOFF_MARGIN = 1e-9  # of the force: what a load equal to its limit may be beyond it by round-off
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN, stiffness_of
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete.mesh_validation import place
-from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -83,7 +84,7 @@ def near_null_space(problem: RigidMotions, free: np.ndarray) -> PETSc.NullSpace 
         problem: Whose matrix it is for.
         free: Whether an owned dof is not held.
     """
-    comm, struck = problem.level.comm, problem.motions * free
+    comm, struck = problem.comm, problem.motions * free
     values, vectors = np.linalg.eigh(comm.allreduce(struck @ struck.T))
     kept = values > INDEPENDENT * max(values[-1], 1e-300)
     basis = (vectors[:, kept] / np.sqrt(values[kept])).T @ struck
@@ -100,8 +101,8 @@ def near_null_space(problem: RigidMotions, free: np.ndarray) -> PETSc.NullSpace 
     return space
 
 
-class RigidMotions(Problem, ABC):
-    """A problem whose matrix has rigid body motions as near-null space of algebraic multigrid."""
+class RigidMotions(System, ABC):
+    """A system whose matrix has rigid body motions as near-null space of algebraic multigrid."""
 
     preconditioner: Mapping[str, str] = {
         "pc_type": "gamg",
@@ -114,6 +115,8 @@ class RigidMotions(Problem, ABC):
         "mg_coarse_mat_mumps_icntl_24": "1",
     }
 
+    extent: float  # of the body
+
     @property
     @abstractmethod
     def motions(self) -> np.ndarray:
@@ -121,7 +124,7 @@ class RigidMotions(Problem, ABC):
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
         super().jacobian(x, penalised=penalised)
-        self._set_near_null_space(self.nodal.penalty_diagonal() if penalised else np.zeros(self.level.owned))
+        self._set_near_null_space(self.matrices.penalty_diagonal() if penalised else np.zeros(self.owned))
         return self.A
 
     def hold(self, penalty_diagonal: np.ndarray) -> None:
@@ -193,25 +196,34 @@ def check_held(problem: VectorProblem) -> np.ndarray | None:
     return loose
 
 
-def moves(problem: Problem, active: np.ndarray, round_off: float) -> bool:
-    """Whether a motion that only contact resists is resisted by no contact force (collective).
+def moves_freely(problem: System, active: np.ndarray) -> str | None:
+    """The reason why a body that only contact holds is not held; None if it is (collective).
 
-    A node that two equal obstacles hold resists motions without a force.
+    A rigid motion is free if no contact force resists it. A node that two equal obstacles hold resists motions without
+    a force.
 
     Args:
-        problem: With the residual of its solution in `elastic`.
+        problem: A `VectorProblem` that holds its solution.
         active: Which obstacle holds each owned dof: -1 lower, 1 upper, 0 none.
-        round_off: A force that is none.
     """
     loose = problem.loose
     if loose is None:
-        return False
+        return None
+    assert isinstance(problem, RigidMotions)
+    stiffness = stiffness_of(problem, exact_bounds=True)
+    round_off = total(problem.comm, ROUNDOFF_MARGIN * EPSILON * stiffness * np.abs(problem.u))
+    problem.law.elastic(problem.elastic)
     forces = np.where(active != 0, np.abs(problem.elastic.array_r), 0.0)
-    resists = forces > max(FORCELESS * max(problem.load, largest(problem.level.comm, forces)), round_off)
-    resists |= np.sum(problem.gaps(), axis=0) <= FORCELESS * problem.data.extent
+    resists = forces > max(FORCELESS * max(problem.load, largest(problem.comm, forces)), round_off)
+    resists |= np.sum(problem.gaps(), axis=0) <= FORCELESS * problem.extent
     there = loose[:, resists & problem.touchable]
-    values = np.linalg.eigvalsh(problem.level.comm.allreduce(there @ there.T))
-    return bool(values[0] <= INDEPENDENT * values[-1])
+    values = np.linalg.eigvalsh(problem.comm.allreduce(there @ there.T))
+    if values[0] > INDEPENDENT * values[-1]:
+        return None
+    return (
+        "only contact supports the body, and a rigid body motion is resisted by no contact force, so that u is "
+        "determined only up to this motion; prescribe more components of u"
+    )
 
 
 def _size(problem: VectorProblem) -> float:
@@ -221,7 +233,7 @@ def _size(problem: VectorProblem) -> float:
 
 def _energies(problem: VectorProblem, basis: np.ndarray) -> np.ndarray:
     """This rank's part of z . A z over the mean diagonal of A, for pairs of motions (collective)."""
-    A = problem.forms.stiffness
+    A = problem.law.stiffness
     x, y = A.createVecs()
     A.getDiagonal(x)
     mean = total(problem.level.comm, np.abs(x.array_r)) / problem.level.dofs

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE
 from fenicsx_obstacle.discrete.time_discretization import INERTIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 Sums: TypeAlias = Callable[[np.ndarray], np.ndarray]  # values at owned dofs, summed over each component
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
 EPSILON = float(np.finfo(float).eps)
-PRESCRIBE = "prescribe u on a part of the boundary ([[boundary]] value, or bcs)"
-LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a solution meaningless
 
 
 class Support(NamedTuple):
@@ -65,7 +64,8 @@ def check_support(problem: Problem) -> Support:
     loose = sums(problem.fixed.astype(float)) == 0
     if not loose.any():
         return Support()
-    hard = problem.obstacles()
+    data = problem.data
+    hard = tuple(none if side is None else side.x.array for side, none in ((data.lower, -np.inf), (data.upper, np.inf)))
     soft = _soft_obstacles(problem)
     rest, shift = _between(comm, soft)
     at_rest = _forces(problem, rest)
@@ -171,16 +171,18 @@ def _refuse(
 
 def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
     """a(u, .) - f at owned dofs for this u; the state is u = 0 before and after (collective)."""
-    problem.w.x.array[:] = u_values
-    problem.forms.elastic(problem.elastic)
+    problem.w[:] = u_values
+    problem.state.share()
+    problem.law.elastic(problem.elastic)
     forces = problem.elastic.array_r.copy()
-    problem.w.x.array[:] = 0.0
+    problem.w[:] = 0.0
+    problem.state.share()
     return forces
 
 
 def _diagonal(problem: Problem) -> np.ndarray:
     """The diagonal of the stiffness at u = 0 (collective)."""
-    state = problem.state()
+    state = problem.vector()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     values = diagonal.array_r.copy()
     for vector in (state, diagonal):
@@ -190,7 +192,7 @@ def _diagonal(problem: Problem) -> np.ndarray:
 
 def _reached(problem: Problem, obstacle: np.ndarray | float, sums: Sums) -> np.ndarray:
     """Whether a component has an obstacle somewhere (collective)."""
-    there = np.isfinite(np.broadcast_to(obstacle, len(problem.w.x.array))[: problem.level.owned])
+    there = np.isfinite(np.broadcast_to(obstacle, len(problem.level.parts[1]))[: problem.owned])
     return sums((there & ~problem.fixed).astype(float)) > 0
 
 
@@ -202,5 +204,5 @@ def forces_at_work(problem: Problem, load: float) -> float:
     time = problem.model.time
     if time is None or time.order != INERTIA:
         return load
-    problem.forms.elastic(problem.elastic)
+    problem.law.elastic(problem.elastic)
     return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))

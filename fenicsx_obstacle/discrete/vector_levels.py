@@ -15,12 +15,12 @@ import scipy.sparse
 from dolfinx import fem
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.coarsening import BOUNDARY, FIXED, FREE, Nodes, coarsen, first_keys
-from fenicsx_obstacle.discrete.galerkin import COARSEST, SLOWEST, SMALLEST, GalerkinProblem
-from fenicsx_obstacle.discrete.kernels import kernels
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra.coarse import COARSEST, SLOWEST, SMALLEST, CoarseSystem
+from fenicsx_obstacle.algebra.coarsening import BOUNDARY, FIXED, FREE, Nodes, coarsen, first_keys
+from fenicsx_obstacle.algebra.kernels import kernels
+from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.discrete.rigid import RigidMotions
-from fenicsx_obstacle.discrete.transfer import Transfer
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.parallel import total
 
@@ -66,50 +66,44 @@ def _for_each_component(P: PETSc.Mat, components: int) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(size, bsize=components, csr=csr, comm=P.comm)
 
 
-class GalerkinVectorProblem(RigidMotions, GalerkinProblem):
-    """A vector-valued problem on coarse nodes of a finer one."""
+class CoarseVectorSystem(RigidMotions, CoarseSystem):
+    """A vector-valued system on coarse nodes of a finer one."""
 
-    def __init__(self, finer: VectorProblem | GalerkinVectorProblem, transfer: VectorTransfer):
+    def __init__(self, finer: VectorProblem | CoarseVectorSystem, transfer: VectorTransfer):
         """Multiply matrices, and inject the data of the finer problem (collective)."""
-        super().__init__(finer, transfer, transfer.inject(finer.fixed), finer.level.pair)
         self._fine_motions = finer.motions
+        super().__init__(finer, transfer, transfer.inject(finer.fixed), all_points=finer.all_points)
 
     @cached_property
     def motions(self) -> np.ndarray:
         return np.array([self._up.inject(motion) for motion in self._fine_motions])
 
     def cold_start(self) -> np.ndarray:
-        dofs, given = self.data.fixed
-        u_values = np.zeros(self.level.owned)
-        u_values[dofs] = given.x.array[dofs]
-        return self.between(u_values)
-
-    def _at_all_dofs(self, owned: np.ndarray) -> np.ndarray:
-        return owned
+        return self.between(np.where(self.fixed, self.given, 0.0))
 
 
-def coarse_vector_problems(problem: Problem) -> list[Problem]:
+def coarse_vector_problems(problem: System) -> list[System]:
     """Algebraic levels below a vector-valued problem with affine effects, the coarsest first (collective).
 
     There are none for few unknowns, or where contact alone holds the body.
     """
     assert isinstance(problem, VectorProblem)
-    level, found = problem.level, list[Problem]()
+    level, found = problem.level, list[System]()
     bs, comm = level.components, level.comm
     if not problem.affine or problem.floating or level.dofs < SMALLEST or (loops := kernels(comm)) is None:
         return []
-    finer: VectorProblem | GalerkinVectorProblem = problem
+    finer: VectorProblem | CoarseVectorSystem = problem
     nodes = _nodes(problem)
     contact, own = problem.data.contact, level.owned
     normal = np.zeros(own, dtype=bool)
     normal[contact.dofs[contact.dofs < own]] = True
     turned = total(comm, len(contact.turned)) > 0
-    reflection = contact.rotation(problem.nodal.stiffness) if turned else None
-    while len(nodes.key) and finer.level.dofs > bs * COARSEST[nodes.dim]:
-        graph = _graph(finer.nodal.stiffness, bs)
+    reflection = contact.rotation(problem.matrices.stiffness) if turned else None
+    while len(nodes.key) and finer.dofs > bs * COARSEST[nodes.dim]:
+        graph = _graph(finer.matrices.stiffness, bs)
         nodal, nodes = coarsen(graph, nodes, loops, comm)
         graph.destroy()
-        if bs * total(comm, len(nodes.key)) > SLOWEST * finer.level.dofs:
+        if bs * total(comm, len(nodes.key)) > SLOWEST * finer.dofs:
             break
         reflections: tuple[PETSc.Mat, ...] = ()
         if reflection is not None:
@@ -121,7 +115,7 @@ def coarse_vector_problems(problem: Problem) -> list[Problem]:
         transfer = VectorTransfer(nodal, normal, bs, reflections)
         normal = transfer.inject(normal)
         finer.transfer = transfer
-        finer = GalerkinVectorProblem(finer, transfer)
+        finer = CoarseVectorSystem(finer, transfer)
         found.insert(0, finer)
     return found
 
@@ -138,7 +132,7 @@ def _nodes(problem: VectorProblem) -> Nodes:
     boundary = fem.locate_dofs_topological(level.V, dim - 1, level.boundary_facets)
     kind[boundary[boundary < own]] = BOUNDARY
     kind[problem.fixed.reshape(own, bs).all(axis=1)] = FIXED
-    graph = _graph(problem.nodal.stiffness, bs)
+    graph = _graph(problem.matrices.stiffness, bs)
     keys = first_keys(graph, x)
     graph.destroy()
     return Nodes(x, kind, keys, None, dim)

@@ -17,9 +17,11 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.system import Check
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
-from fenicsx_obstacle.discrete.rigid import RigidMotions, check_held, motions_of
+from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.rigid import RigidMotions, check_held, motions_of, moves_freely
 from fenicsx_obstacle.discrete.solvability import Support
 from fenicsx_obstacle.parallel import total
 
@@ -47,7 +49,7 @@ class VectorForms(Nodal):
 
     def _load(self) -> None:
         super()._load()
-        self._minus_load.array[:] = self.contact.rotated(self._minus_load.array_r)
+        self.minus_load.array[:] = self.contact.rotated(self.minus_load.array_r)
 
     def _assembled(self) -> PETSc.Mat:
         self._cartesian = super()._assembled()
@@ -92,15 +94,15 @@ class NonlinearVectorForms(VectorForms):
         super().jacobian(A, penalised=penalised)
 
     def _load(self) -> None:
-        self._minus_load.set(0.0)
+        self.minus_load.set(0.0)
 
 
-class VectorProblem(RigidMotions):
+class VectorProblem(RigidMotions, Problem):
     """A vector-valued problem on one mesh; u and obstacles of its methods are Cartesian, w, r and gaps are not."""
 
     data: VectorData
     level: VectorLevel
-    forms: VectorForms
+    law: VectorForms
     eps_share = 1e-3  # D_i/A_ii is about .7 h/E* for degree 1 and .3 h/E* for degree 2
 
     def _make_forms(self) -> VectorForms:
@@ -110,14 +112,21 @@ class VectorProblem(RigidMotions):
     def loose_without_contact(self) -> bool:
         return self.floating
 
+    def _checks(self) -> tuple[str, tuple[Check, ...]]:
+        return "", (moves_freely,)
+
+    @property
+    def extent(self) -> float:  # type: ignore[override]
+        return self.data.extent
+
     @cached_property
     def motions(self) -> np.ndarray:
         return motions_of(self)
 
     def bounded_sides(self) -> list[tuple[np.ndarray, float]]:
-        """Bounds of local dofs on each side that has an obstacle, and where it is along N_i: 1 above, -1 below."""
-        sides = ((self.data.lower, -1.0), (self.data.upper, 1.0))
-        return [(bound.x.array, sign) for bound, sign in sides if bound is not None]
+        """Bounds at owned dofs on each side that has an obstacle, and where it is along N_i: 1 above, -1 below."""
+        sides = ((self.lower, -1.0), (self.upper, 1.0))
+        return [(bound, sign) for bound, sign in sides if bound is not None]
 
     def _check_support(self) -> Support:
         self.loose = check_held(self)
@@ -127,7 +136,7 @@ class VectorProblem(RigidMotions):
         """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""
         if not self.floating:
             return self.flat()
-        w = self.data.contact.rotated(self._given())
+        w = self.data.contact.rotated(self._given_values())
         for bound, sign in self.bounded_sides():
             there = np.isfinite(bound)
             w[there] = bound[there] + sign * self.data.extent
@@ -135,13 +144,10 @@ class VectorProblem(RigidMotions):
 
     def flat(self) -> np.ndarray:
         """Displacements of the data: given values, and those of contact nodes that obstacles displace, otherwise 0."""
-        return self.between(self._given())
+        return self.between(self._given_values())
 
-    def _given(self) -> np.ndarray:
-        dofs, given = self.data.fixed
-        u_values = np.zeros(len(given.x.array))
-        u_values[dofs] = given.x.array[dofs]
-        return u_values
+    def _given_values(self) -> np.ndarray:
+        return np.where(self.fixed, self.given, 0.0)
 
     def between(self, u_values: np.ndarray) -> np.ndarray:
         contact = self.data.contact

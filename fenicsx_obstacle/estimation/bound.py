@@ -133,7 +133,7 @@ class Estimator:
     def use_estimator_load(self) -> None:
         """Replace the load of the problem by that of the quadrature used here, which resolves jumps (collective)."""
         equilibration = self.element.equilibration
-        self.problem.nodal.add_forces(equilibration.missing)
+        self.problem.nodal_forms.add_forces(equilibration.missing)
         equilibration.missing = np.zeros_like(equilibration.missing)
 
     @property
@@ -152,9 +152,7 @@ class Estimator:
         problem, comm = self.problem, self.problem.level.comm
         if not problem.model.elastic.affine:
             self._prepare()
-        terms = self.element.terms(
-            problem.w.x.array + problem.reference.x.array, *touching(problem, self.element.reach)
-        )
+        terms = self.element.terms(problem.solution().x.array, *touching(problem, self.element.reach))
 
         def norm(squares: np.ndarray) -> float:
             return sqrt(max(total(comm, squares), 0.0))

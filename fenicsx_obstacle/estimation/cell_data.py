@@ -111,7 +111,7 @@ def tension_of_state(problem: Problem, simplices: Simplices) -> np.ndarray | Non
     if proved(problem.data):
         return None
     u, W = fem.Function(level.V), releases.functionspace(level.mesh, "DG", 0)
-    u.x.array[:] = problem.w.x.array + problem.reference.x.array
+    u.x.array[:] = problem.solution().x.array
     mean = elastic.tension_at(u, problem.data) * ufl.TestFunction(W) / ufl.CellVolume(level.mesh)
     found = fem.Function(W)
     fem.petsc.assemble_vector(releases.vec(found), releases.form(mean * problem.data.dx))

@@ -107,21 +107,21 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
     shares = (lower | upper).astype(float)
     if not problem.constrained or not problem.level.pair.nodal:
         return shares
-    w, own = problem.w.x, len(shares)
-    kept, gaps = w.array.copy(), problem.gaps()
-    here, there = problem.forms.vector(), problem.forms.vector()
-    problem.forms.elastic(here)
+    w, kept, gaps = problem.w, problem.w.copy(), problem.gaps()
+    here, there = problem.law.vector(), problem.law.vector()
+    problem.law.elastic(here)
     for inside, obstacle, gap, sign in (
         (lower, problem.below, gaps[0], 1.0), (upper, problem.above, gaps[1], -1.0)
     ):  # fmt: skip
         if obstacle is None:
             continue
-        w.array[:own] -= np.where(~inside & (problem.weights > 0), sign * np.clip(gap, 0.0, NO_BOUND), 0.0)
-        w.scatter_forward()
-        problem.forms.elastic(there)
-        w.array[:] = kept
+        w -= np.where(~inside & (problem.weights > 0), sign * np.clip(gap, 0.0, NO_BOUND), 0.0)
+        problem.state.share()
+        problem.law.elastic(there)
+        w[:] = kept
+        problem.state.share()
         force = problem.weights[inside] * np.abs(pressure[inside])
-        more = sign * (there.array_r - here.array_r)[:own][inside]
+        more = sign * (there.array_r - here.array_r)[inside]
         shares[inside] = force / (force + np.where(np.isfinite(more), np.maximum(more, 0.0), 0.0))
     for vector in (here, there):
         vector.destroy()

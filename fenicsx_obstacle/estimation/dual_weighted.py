@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, INEXACT, LARGEST, attempt, defaults
+from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
-from fenicsx_obstacle.solvers.linear import DIRECT, GENERAL, INEXACT, LARGEST, attempt, defaults
-from fenicsx_obstacle.solvers.multigrid import Multigrid
 
 TOLERANCE = 1e-6  # of the adjoint, which is a weight only
 MULTIGRID = {**INEXACT, "ksp_type": "fgmres"}  # the cycle is not symmetric to the last digits
@@ -70,7 +70,7 @@ def adjoint_of(
     """
     held = active | problem.fixed
     once = problem.affine and problem.level.pair.nodal
-    A = problem.nodal.stiffness if once else _stiffness(problem)
+    A = problem.matrices.stiffness if once else _stiffness(problem)
     x, b = A.createVecs()
     x.array[:] = w
     A.multTranspose(x, b)
@@ -88,7 +88,7 @@ def adjoint_of(
 
 def _stiffness(problem: Problem) -> PETSc.Mat:
     """The derivative of a(u, .) - f at the state, which the caller frees (collective)."""
-    state = problem.state()
+    state = problem.vector()
     A = problem.jacobian(state, penalised=False).duplicate(copy=True)
     state.destroy()
     return A
@@ -100,7 +100,7 @@ def _solve(problem: Problem, multigrid: Multigrid | None, active: np.ndarray, b:
     if problem.affine and problem.level.pair.nodal:
         problem.hold(closed)
     else:
-        state = problem.state()
+        state = problem.vector()
         problem.jacobian(state, penalised=False)
         state.destroy()
         first, _ = problem.A.getOwnershipRange()
@@ -169,13 +169,13 @@ def _owned(problem: Problem) -> np.ndarray:
 
 def unbalanced(problem: Problem, u: np.ndarray) -> np.ndarray:
     """f - a(u, .) at owned dofs of owned values u; the state stays (collective)."""
-    w, own = problem.w.x, len(u)
-    kept = w.array.copy()
-    w.array[:own] = u - problem.reference.x.array[:own]
-    w.scatter_forward()
-    out = problem.forms.vector()
-    problem.forms.elastic(out)
+    w, kept = problem.w, problem.w.copy()
+    w[:] = u - problem.state.r
+    problem.state.share()
+    out = problem.law.vector()
+    problem.law.elastic(out)
     found = -out.array_r.copy()
     out.destroy()
-    w.array[:] = kept
+    w[:] = kept
+    problem.state.share()
     return found

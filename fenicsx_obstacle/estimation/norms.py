@@ -14,6 +14,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.releases import AMG
 from fenicsx_obstacle.discrete.data import Data, Weighted
 from fenicsx_obstacle.discrete.fields import Symbols
 from fenicsx_obstacle.discrete.levels import Level
@@ -257,7 +258,7 @@ class DualNorm:
         self._ksp = PETSc.KSP().create(level.comm)
         self._ksp.setOperators(self._H)
         self._ksp.setType("cg")
-        self._ksp.getPC().setType(releases.AMG)
+        self._ksp.getPC().setType(AMG)
         self._ksp.setTolerances(rtol=1e-9, atol=0.0)
 
     def error(self, pressure: fem.Function, eps: float | None) -> float:

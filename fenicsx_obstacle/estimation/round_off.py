@@ -34,15 +34,15 @@ def round_off(problem: Problem, p: np.ndarray, eps: float | None) -> dict[str, f
     pressing = p != 0
     if size <= 0:
         return {"from_heights": None, "line": None, "left": None}
-    r = np.abs(problem.reference.x.array[:own])
-    stiff = (problem.nodal.diagonal * r)[pressing] / np.maximum(problem.weights[pressing], 1e-300)
+    r = np.abs(problem.state.r)
+    stiff = (problem.matrices.diagonal * r)[pressing] / np.maximum(problem.weights[pressing], 1e-300)
     left = EPSILON * largest(comm, stiff) / size
     if eps is None:
         return {"from_heights": None, "line": None, "left": left}
-    u_values = (problem.w.x.array + problem.reference.x.array)[:own]
+    u_values = problem.u
     plain = np.zeros(own)
     for obstacle, sign in zip(problem.obstacles(), (1.0, -1.0), strict=True):
-        g = np.broadcast_to(obstacle, len(problem.w.x.array))[:own]
+        g = np.broadcast_to(obstacle, own)
         with np.errstate(invalid="ignore"):
             plain += sign * np.maximum(sign * (g - u_values), 0.0)
     lost = largest(comm, np.abs(plain / eps - p)[pressing]) / size

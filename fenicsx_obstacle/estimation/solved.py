@@ -27,14 +27,14 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.m_matrix import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.algebra.data_scales import nearest_gap
+from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
+from fenicsx_obstacle.algebra.stopping import NEGLIGIBLE_FORCE, TOLERANCE
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import ROUND_OFF
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.data_scales import nearest_gap
-from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE, TOLERANCE
 
 EPSILON = float(np.finfo(float).eps)
 FEW = 8 * EPSILON  # of |A| |u| in a row of some seven entries
@@ -145,9 +145,10 @@ class ReferenceProblem:
         effects = problem.model.effects
         self.bent = any(effect.elastic and not effect.affine for effect in effects)
         self.symmetric = problem.symmetric
+        law = problem.law
         lasting = [effect for effect in effects if effect.affine or effect.elastic]
-        form = residual(lasting, problem.w + problem.reference, problem.forms.v, problem.data)
-        self._form = releases.form(ufl.derivative(form, problem.w))
+        form = residual(lasting, law.w + law.reference, law.v, problem.data)
+        self._form = releases.form(ufl.derivative(form, law.w))
         self.A, self._S = PETSc.Mat(), PETSc.Mat()
         self._solvers: dict[str, PETSc.KSP] = {}
         self.held = False
@@ -170,7 +171,7 @@ class ReferenceProblem:
         self.diagonal = diagonal.array.copy()
         diagonal.destroy()
         own = problem.level.V.dofmap.index_map.local_range[0]
-        self.A.zeroRowsColumns((own + problem.forms.fixed).astype(PETSc.IntType), 1.0)
+        self.A.zeroRowsColumns((own + problem.law.fixed).astype(PETSc.IntType), 1.0)
         self._S = self.A
         if not self.symmetric:
             self._S = self.A.transpose(PETSc.Mat())
@@ -237,10 +238,10 @@ class ReferenceProblem:
 
     def take(self, p: np.ndarray, eps: float | None) -> Solved:
         """The present state of the problem, with this pressure at owned points; its last residual was of this state."""
-        problem, own = self.problem, self.problem.level.owned
+        problem = self.problem
         if self.bent:
             self._settle()
-        w, r = (f.x.array[:own].copy() for f in (problem.w, problem.reference))
+        w, r = problem.w.copy(), problem.state.r.copy()
         elastic = problem.elastic.array_r.copy()
         pressing = np.abs(self.D * p)
         forces = problem.load + total(self.comm, np.abs(elastic[problem.fixed])) + total(self.comm, pressing)
@@ -251,7 +252,7 @@ class ReferenceProblem:
         if np.isfinite(nearest):
             nothing = np.where(self.free, NEGLIGIBLE_FORCE * nearest * self.diagonal, 0.0)
             noise, forces = noise + nothing, max(forces, total(self.comm, nothing))
-        state = problem.state()
+        state = problem.vector()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
         left = np.where(self.free, np.abs(elastic - self.D * p), 0.0) + noise
@@ -260,7 +261,7 @@ class ReferenceProblem:
         last = FEW * (np.abs(w) + np.abs(r)) * self.free  # the values of u themselves are rounded
         # what SNES VI takes to be at its bound may be this far off
         slip = last if eps is not None else last + TOUCHING * span
-        z, R = np.full(own, np.inf), np.inf
+        z, R = np.full(len(w), np.inf), np.inf
         if self.held:
             z = np.abs(self.lift(left)) + slip
             R = self._reach(left, np.where(self.free, elastic - self.D * p, 0.0), slip, last)

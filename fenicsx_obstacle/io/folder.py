@@ -16,6 +16,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
@@ -26,7 +27,6 @@ from fenicsx_obstacle.io.paraview import FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
 from fenicsx_obstacle.io.validation import check_arrays, check_record
 from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root, write_text
-from fenicsx_obstacle.solvers.stopping import Step
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.problems.solution import Solution

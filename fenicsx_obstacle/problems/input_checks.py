@@ -205,11 +205,11 @@ def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> 
     """
     if not problem.affine or form is None:
         return
-    comm, diagonal = problem.level.comm, problem.nodal.diagonal
+    comm, diagonal = problem.level.comm, problem.matrices.diagonal
     if total(comm, np.count_nonzero(~np.isfinite(diagonal))) > 0:
         refuse_not_finite(problem, form, place)
         raise InputError(f"{place}: the derivative of F is not finite, through a coefficient in it")
-    size, free = problem.nodal.stiffness.norm(PETSc.NormType.INFINITY), ~problem.fixed
+    size, free = problem.matrices.stiffness.norm(PETSc.NormType.INFINITY), ~problem.fixed
     if size == 0:
         raise _zero(f"{place}: the derivative of F")
     if 0 <= largest(comm, np.abs(diagonal[free])) <= ROUND_OFF * size:
@@ -560,7 +560,7 @@ def flat_start(problem: Problem, form: ResidualForm) -> str:
     """
     if problem.affine:
         return ""
-    state = problem.state()
+    state = problem.vector()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     zero = ~problem.fixed & (np.abs(diagonal.array_r) <= ROUND_OFF * largest(problem.level.comm, diagonal.array_r))
     for owner in (state, diagonal):

@@ -18,8 +18,19 @@ from dolfinx.mesh import Mesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import garbage, releases
+from fenicsx_obstacle.algebra import multigrid
+from fenicsx_obstacle.algebra.linear import overriding, unread
+from fenicsx_obstacle.algebra.methods import Method, method_of
+from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.nested import as_multigrid, problem_of, solve_nested
+from fenicsx_obstacle.algebra.newton import diagonal_of
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.penalty_parameter import NoPositiveDiagonal
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.galerkin import coarse_problems
+from fenicsx_obstacle.discrete.hierarchy import coarse_problems, hierarchy, nested
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
@@ -53,16 +64,6 @@ from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.state import State, state_of
 from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.signatures import names_checked
-from fenicsx_obstacle.solvers import multigrid
-from fenicsx_obstacle.solvers.choose import Method, hierarchy, method_of, nested
-from fenicsx_obstacle.solvers.linear import overriding, unread
-from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.nested import as_multigrid, problem_of, solve_nested
-from fenicsx_obstacle.solvers.newton import diagonal_of
-from fenicsx_obstacle.solvers.options import SolverOptions
-from fenicsx_obstacle.solvers.penalty_parameter import NoPositiveDiagonal
-from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
 from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
@@ -302,7 +303,7 @@ class ObstacleProblem:
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = {} if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
-        self._grids: Sequence[Multigrid | Problem] | None = None
+        self._grids: Sequence[Multigrid | System] | None = None
         self._solved_before = False
         self._eps: float | None = None
 
@@ -426,7 +427,7 @@ class ObstacleProblem:
                 if self._form is None:
                     raise
                 refuse_not_finite(problem, self._form, self.name)
-                problem.set_reference(self.u.x.array.copy())
+                problem.set_reference(self.u.x.array[: problem.owned].copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
@@ -452,7 +453,7 @@ class ObstacleProblem:
         outcome = solve_nested(grids, solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
         return replace(outcome, iterations=spent + outcome.iterations)
 
-    def _levels(self) -> Sequence[Multigrid | Problem]:
+    def _levels(self) -> Sequence[Multigrid | System]:
         """Multigrid of all levels, or their problems where u is vector-valued, with the data of now (collective)."""
         if self._grids is None:
             self._grids = self._made_levels()
@@ -461,7 +462,7 @@ class ObstacleProblem:
                 problem_of(grid).renew(stiffness=False)  # which algebraic levels notice themselves
         return self._grids
 
-    def _made_levels(self) -> Sequence[Multigrid | Problem]:
+    def _made_levels(self) -> Sequence[Multigrid | System]:
         problem = self._problem
         if self._vector_valued:
             from fenicsx_obstacle.discrete.vector_levels import coarse_vector_problems
@@ -510,16 +511,14 @@ class ObstacleProblem:
             problem.renew(stiffness=stiffness)
             self._in_matrix = values
             if stiffness and self._form.affine:
-                self._form.look_again(problem.nodal.stiffness)
+                self._form.look_again(problem.matrices.stiffness)
             check_stiffness(problem, self._form, self.name)
         share(self.u)
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
             return
-        start = self.u.x.array.copy()
-        dofs, given = self._data.fixed
-        start[dofs] = given.x.array[dofs]
+        start = np.where(problem.fixed, problem.given, self.u.x.array[: problem.owned])
         problem.set_reference(problem.between(start))
 
     def _bounds(self) -> Estimator:
@@ -549,9 +548,9 @@ class ObstacleProblem:
         there (collective)."""
         problem = self._problem
         if not problem.floating:
-            w = problem.w.x.array[: len(self._pressure)]
+            w = problem.w[: len(self._pressure)]
             w -= eps * np.where((np.minimum(*problem.gaps()) == 0) & ~problem.fixed, self._pressure, 0.0)
-            problem.w.x.scatter_forward()
+            problem.state.share()
 
 
 class _Numbered:

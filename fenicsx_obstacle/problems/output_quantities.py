@@ -9,6 +9,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.penalty_parameter import large_penetration
+from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.io.origin import command, versions
@@ -16,8 +18,6 @@ from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
 from fenicsx_obstacle.problems.state import State
 from fenicsx_obstacle.problems.values import Seconds
-from fenicsx_obstacle.solvers.penalty_parameter import large_penetration
-from fenicsx_obstacle.solvers.snes import Outcome
 
 COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse
 

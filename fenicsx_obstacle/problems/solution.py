@@ -17,13 +17,13 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import main_values, summary
 from fenicsx_obstacle.problems.values import Adaptive, AdaptiveMesh, Errors, Force, Profile, Quantity, Seconds
 from fenicsx_obstacle.signatures import checked
-from fenicsx_obstacle.solvers.stopping import Step
 from fenicsx_obstacle.text import counted, nearest, shown, title_of
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import Any
 import ufl
 from dolfinx import fem
 
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step
 from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
-from fenicsx_obstacle.solvers.stopping import TOLERANCE, Step
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle.algebra.methods import Method
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
-from fenicsx_obstacle.solvers.choose import Method
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def state_of(problem: Problem, method: Method) -> State:
     contact = contact_of(problem, p)
     energy = None
     if problem.has_energy:
-        x = problem.state()
+        x = problem.vector()
         energy = problem.energy(x, penalised=method.eps is not None, moving=False)
         if method.eps is not None and method.share != 1.0:  # the problem's eps is that of a step
             energy = (1 - method.share) * problem.energy(x, penalised=False, moving=False) + method.share * energy

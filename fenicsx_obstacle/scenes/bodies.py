@@ -17,6 +17,7 @@ from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
@@ -31,7 +32,6 @@ from fenicsx_obstacle.parallel import first_given, largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.rigid_surfaces import NodalGap

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, find, known
@@ -34,7 +35,6 @@ from fenicsx_obstacle.scenes.tables import DataTable
 from fenicsx_obstacle.scenes.time_table import moments
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.signatures import checked
-from fenicsx_obstacle.solvers.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.text import nearest, shown
 
 if TYPE_CHECKING:

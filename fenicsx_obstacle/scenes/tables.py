@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from fenicsx_obstacle.algebra.options import MethodName, StartName
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import in_words
 from fenicsx_obstacle.scenes.formulas import SHOWN
-from fenicsx_obstacle.solvers.options import MethodName, StartName
 from fenicsx_obstacle.text import nearest
 
 Value = float | str  # a number or a formula

@@ -7,7 +7,18 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from fenicsx_obstacle.discrete.galerkin import SMALLEST
+from fenicsx_obstacle.algebra.coarse import SMALLEST
+from fenicsx_obstacle.algebra.methods import METHODS, NONLINEAR_WORDS
+from fenicsx_obstacle.discrete.hierarchy import (
+    ALGEBRAIC,
+    AUGMENTED,
+    DIRECT_SOLVER,
+    GENERAL_SOLVER,
+    LINEAR_SOLVER,
+    NESTED,
+    nested,
+    stepwise,
+)
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.discrete.meshing import GEOMETRY
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
@@ -18,18 +29,6 @@ from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable
 from fenicsx_obstacle.show.steps import steps_of
-from fenicsx_obstacle.solvers.choose import (
-    ALGEBRAIC,
-    AUGMENTED,
-    DIRECT_SOLVER,
-    GENERAL_SOLVER,
-    LINEAR_SOLVER,
-    METHODS,
-    NESTED,
-    NONLINEAR_WORDS,
-    nested,
-    stepwise,
-)
 from fenicsx_obstacle.text import counted, plain, title_of
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.pictures import Picture
 from fenicsx_obstacle.show.time_history import is_animated, moving
-from fenicsx_obstacle.solvers.newton import smallest_eps
 
 TENS = 4  # of eps to both sides of the answer's
 SHOWN = {"auto_display": True}  # what the function returns

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
@@ -27,7 +28,6 @@ from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.io.folder import content_of
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.choose import penalty_parameter
 from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
 from fenicsx_obstacle.studies.cost_mesh import CostMesh, ending, floor_of, place, too_many, without_name
 from fenicsx_obstacle.studies.reference_solution import ExactReference, Truth, make_reference, read_reference, sizes_of

@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.newton import smallest_eps
+from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
+from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import forget_peak_memory, largest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.choose import penalty_parameter
-from fenicsx_obstacle.solvers.newton import smallest_eps
-from fenicsx_obstacle.solvers.poisson_baseline import poisson_seconds
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
 from fenicsx_obstacle.studies.reference_solution import Truth, sizes_of
 
 EPSILON = float(np.finfo(float).eps)
@@ -73,7 +73,7 @@ def floor_of(context: SolverContext, answer: Answer) -> float:
     rounded = 0.0
     if problem.affine and problem.level.pair.nodal:
         u = answer.u.x.array[: problem.level.owned]
-        rounded = EPSILON * math.sqrt(total(comm, (problem.nodal.diagonal * u * ~problem.fixed) ** 2))
+        rounded = EPSILON * math.sqrt(total(comm, (problem.matrices.diagonal * u * ~problem.fixed) ** 2))
     return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
 
 

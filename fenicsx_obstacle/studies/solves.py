@@ -11,11 +11,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.hierarchy import nested
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.choose import nested
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.bodies import BodyContext
@@ -116,7 +116,7 @@ class Solves:
             dim = answer.level.mesh.topology.dim
             if self._speed[1] * step[1] > NEAR * answer.level.dofs ** (1 - 1 / dim):
                 return None
-        return answer.u.x.array
+        return answer.u.x.array[: answer.level.owned]
 
     def _measure(self, values: Mapping[str, Any], answer: Answer) -> None:
         """Number of nodes that enter or leave contact when a number changes (collective)."""

@@ -30,7 +30,7 @@ def discrete_levels(problem: ObstacleProblem) -> list[Any]:
     The one place that knows internal names. Each item has A, weights, fixed, and what `fingerprint` asks.
     """
     try:
-        from fenicsx_obstacle.solvers.nested import problem_of
+        from fenicsx_obstacle.algebra.nested import problem_of
 
         return [problem_of(grid) for grid in problem._made_levels()]
     except (ImportError, AttributeError) as error:
@@ -42,13 +42,12 @@ def fingerprint(problem: Any) -> dict[str, Any]:
     """Norms of A, f, D and the bounds of a discrete problem at its cold start (collective)."""
     try:
         problem.set_reference(problem.cold_start())
-        state = problem.state()
+        state = problem.vector()
         A = problem.jacobian(state, penalised=False)
-        residual = problem.forms.vector()
+        residual = problem.law.vector()
         problem.residual(state, residual, penalised=False)
-        own = problem.level.owned
         bounds = {
-            side: [float(gap.x.array[:own][abs(gap.x.array[:own]) < 1e100].sum())]
+            side: [float(gap[abs(gap) < 1e100].sum())]
             for side, gap in (("below", problem.below), ("above", problem.above)) if gap is not None
         }  # fmt: skip
         return {

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
+from fenicsx_obstacle.algebra.plausibility import NO_SOLUTION
+from fenicsx_obstacle.algebra.stopping import NEGLIGIBLE_FORCE
+from fenicsx_obstacle.algebra.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.solved import EPSILON, ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
-from fenicsx_obstacle.solvers.plausibility import NO_SOLUTION
-from fenicsx_obstacle.solvers.stopping import NEGLIGIBLE_FORCE
-from fenicsx_obstacle.solvers.vi import residual_pressure, solve_vi
 from tests.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
 from tests.hard.units import Units, all_units

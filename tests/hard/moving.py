@@ -9,6 +9,9 @@ from contextlib import closing
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.newton import penalty_pressure
+from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.algebra.vi import residual_pressure
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.time_discretization import INERTIA
@@ -17,9 +20,6 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.solved import ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.newton import penalty_pressure
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
-from fenicsx_obstacle.solvers.vi import residual_pressure
 from tests.hard.invariants import Finding, of_one, violated
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
 
@@ -41,7 +41,7 @@ def judge_moving(
                 continue
             problem = context.problem
             with closing(ReferenceProblem(problem)) as ground:  # of the last step
-                number = None if eps is None else float(problem.eps.value)
+                number = None if eps is None else problem.eps
                 p = residual_pressure(problem) if eps is None else penalty_pressure(problem)
                 solved = ground.take(p, number)
                 findings = [*of_one(solved), *_energies(answer)]

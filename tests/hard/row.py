@@ -6,8 +6,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.options import SolverOptions
 from tests.hard.invariants import Finding
 
 RIGHT, REJECTED, FAILED = "right", "rejected", "FAILED"

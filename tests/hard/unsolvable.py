@@ -17,13 +17,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.answers.adapt import solve
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 from fenicsx_obstacle.problems.solve_form import solve_form
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.linear import defaults
 from tests.processes import tell
 
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.linear import DIRECT, defaults
+from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.solvers.linear import DIRECT, defaults
-from fenicsx_obstacle.solvers.newton import penalty_pressure, solve_penalty
 from tests.theory.samples import sample
 from tests.theory.statement import Curve, Found, Panel, check, constant, rate, statement
 
@@ -65,9 +65,9 @@ def digits(comm: MPI.Comm) -> Found:
 
 def _pressures(problem: Problem) -> dict[str, np.ndarray]:
     """p_eps of the present state in three forms, at owned dofs; the last residual must be the one of this state."""
-    own, eps = problem.level.owned, float(problem.eps.value)
+    eps = problem.eps
     p = penalty_pressure(problem)
-    u, upper = problem.solution().x.array[:own], np.broadcast_to(problem.obstacles()[1], len(problem.w.x.array))[:own]
+    u, upper = problem.u, np.broadcast_to(problem.obstacles()[1], problem.owned)
     return {
         GAP: p,
         RESIDUAL: np.where(p != 0, problem.elastic.array_r / problem.weights, 0.0),

@@ -12,15 +12,15 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.newton import solve_penalty
+from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.linear import defaults
-from fenicsx_obstacle.solvers.newton import solve_penalty
-from fenicsx_obstacle.solvers.stopping import Step
 from tests.theory.samples import Small, sample
 from tests.theory.statement import (
     Curve,
@@ -60,15 +60,15 @@ def linear_step(comm: MPI.Comm) -> list[Finding]:
     """The second step from no contact solves (A + chi D/eps) u = f + chi D g/eps, chi where the first is beyond g."""
     with closing(SolverContext(sample("disk", 32), comm)) as context:
         problem = context.problem
-        problem.eps.value = 1e-4
-        x = problem.state()
+        problem.eps = 1e-4
+        x = problem.vector()
         _step(problem, x)
         beyond = _excess(problem, x) > 0
         _step(problem, x)
         after = _excess(problem, x)
         elastic = problem.elastic.array_r.copy()
         x.destroy()
-        springs = beyond * problem.weights / float(problem.eps.value)
+        springs = beyond * problem.weights / problem.eps
         linear, printed = (
             total(comm, np.abs(elastic + springs * force)[~problem.fixed]) / problem.load
             for force in (after, np.maximum(after, 0.0))
@@ -142,7 +142,7 @@ def cycle() -> list[Finding]:
     with defaults("penalty_", DENSE):
         outcome = solve_penalty(problem, CYCLE_EPS, successive=True)
     period = problem.met.index(problem.met[0], 1)
-    w = problem.w.x.array
+    w = problem.w
     left = np.abs(problem.matrix @ w + np.maximum(w, 0) / CYCLE_EPS - problem.b).max()
     return [
         constant(WHERE, "period of full steps on three unknowns, no M-matrix", "finite", 3, period,

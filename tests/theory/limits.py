@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.linear import DIRECT, defaults
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.linear import DIRECT, defaults
 from tests.theory.samples import sample
 from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, statement
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.scenes.catalogue import scene
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.solvers.options import SolverOptions
 
 VI = "u_h"  # stands among values of eps for no penalty
 Eps = float | str  # a number, a formula in h, or VI

@@ -16,8 +16,8 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.kernels import Kernels
-from fenicsx_obstacle.discrete.transfer import Transfer
+from fenicsx_obstacle.algebra.kernels import Kernels
+from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.parallel import before, largest, smallest, total
 
 GRID = 2.0**40  # parts of the longest side of a mesh, to which coordinates are rounded

@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.galerkin import GalerkinProblem
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.relaxation import relax
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
-from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.relaxation import relax
-from fenicsx_obstacle.solvers.snes import Outcome
 
 _log = logging.getLogger(__name__)
 FEW = 8  # Newton steps from a start that is said to be near
@@ -27,10 +26,10 @@ ON_THE_WAY: dict[str, Any] = {"least": 1, "tolerance": 1e-2}
 
 
 def solve_nested(
-    grids: Sequence[Multigrid | Problem],
+    grids: Sequence[Multigrid | System],
     solve: Callable[..., Outcome],
     stiffness: float,
-    before: Problem | None = None,
+    before: System | None = None,
     start: np.ndarray | None = None,
 ) -> list[Outcome]:
     """Nested iteration: solve on each level, from the coarsest to the finest (collective).
@@ -41,7 +40,7 @@ def solve_nested(
         solve: Solves a problem from its present state, given `multigrid`, and `ON_THE_WAY`.
         stiffness: Of the obstacle, 1/eps or infinite.
         before: The problem of the level below the first of these, holding its solution; by default there is none.
-        start: Values of u on the finest level, ghosts included, near its solution: Newton begins there, and where few
+        start: Values of u on the finest level, near its solution: Newton begins there, and where few
             steps do not do, as always.
 
     Returns:
@@ -64,7 +63,7 @@ def solve_nested(
                 none = np.zeros(len(problem.weights))
                 relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
         finest = grid is grids[-1]
-        unwatched = {"monitor": None} if isinstance(problem, GalerkinProblem) else {}  # it has no mesh to be shown on
+        unwatched = {"monitor": None} if not problem.on_mesh and not finest else {}  # nothing to be shown on
         try:
             outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
         except NotConverged as error:
@@ -82,12 +81,12 @@ def solve_nested(
     return outcomes
 
 
-def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[..., Outcome]) -> Outcome | None:
+def solve_from(grid: Multigrid | System, start: np.ndarray, solve: Callable[..., Outcome]) -> Outcome | None:
     """Solve from the solution for other data; None if a few steps are not enough (collective).
 
     Args:
         grid: The multigrid of the problem, or the problem where multigrid does not serve.
-        start: Values of u, ghosts included.
+        start: Values of u.
         solve: As for `solve_nested`.
     """
     multigrid, problem = as_multigrid(grid), problem_of(grid)
@@ -99,34 +98,34 @@ def solve_from(grid: Multigrid | Problem, start: np.ndarray, solve: Callable[...
         return None
 
 
-def _algebraic(grids: Sequence[Multigrid | Problem]) -> bool:
-    return isinstance(problem_of(grids[0]), GalerkinProblem)
+def _algebraic(grids: Sequence[Multigrid | System]) -> bool:
+    coarsest, finest = problem_of(grids[0]), problem_of(grids[-1])
+    return coarsest is not finest and not coarsest.on_mesh
 
 
-def problem_of(grid: Multigrid | Problem) -> Problem:
+def problem_of(grid: Multigrid | System) -> System:
     """The problem of a level."""
     return grid.problem if isinstance(grid, Multigrid) else grid
 
 
-def as_multigrid(grid: Multigrid | Problem) -> Multigrid | None:
+def as_multigrid(grid: Multigrid | System) -> Multigrid | None:
     """The multigrid of a level, where it serves."""
     return grid if isinstance(grid, Multigrid) else None
 
 
-def begin_from(problem: Problem, coarse: Problem) -> None:
+def begin_from(problem: System, coarse: System) -> None:
     """Set the state to the interpolant of the next coarser level (collective).
 
     Where both ends of an edge are in contact its middle is: gaps, not values of u, are interpolated there, or
     the middle of a curved obstacle's edge would start far off.
     """
-    transfer, own, theirs_own = problem.transfer, problem.level.owned, coarse.level.owned
-    problem.set_unknown(transfer.interpolate((coarse.w.x.array + coarse.reference.x.array)[:theirs_own]))
-    w = problem.w.x.array
+    transfer, w = problem.transfer, problem.w
+    problem.set_unknown(transfer.interpolate(coarse.u))
     for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
         if ours is None or theirs is None:
             continue
-        distance = sign * (coarse.w.x.array - theirs.x.array)[:theirs_own]
+        distance = sign * (coarse.w - theirs)
         touching = transfer.all_of(distance <= 0) & ~problem.fixed
         between = transfer.interpolate(np.minimum(distance, 0.0))
-        w[:own][touching] = ours.x.array[:own][touching] + sign * between[touching]
-    problem.w.x.scatter_forward()
+        w[touching] = ours[touching] + sign * between[touching]
+    problem.state.share()

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra import releases
+from fenicsx_obstacle.algebra.linear import user_has_set
+from fenicsx_obstacle.algebra.monotone_sets import Shrinking
+from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
+from fenicsx_obstacle.algebra.stopping import ACTIVE_SET_GREW, CYCLING, TOLERANCE, TOO_MANY, StepMonitor, Stopping
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.solvers.linear import user_has_set
-from fenicsx_obstacle.solvers.monotone_sets import Shrinking
-from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
-from fenicsx_obstacle.solvers.stopping import ACTIVE_SET_GREW, CYCLING, TOLERANCE, TOO_MANY, StepMonitor, Stopping
 
 NEWTON = {
     "snes_type": "newtonls",
@@ -39,7 +39,7 @@ STIFFEST = 1e15  # penalty diagonal over stiffness, a tenth of the ratio at whic
 
 
 def solve_penalty(
-    problem: Problem,
+    problem: System,
     eps: float,
     *,
     successive: bool = False,
@@ -73,7 +73,7 @@ def solve_penalty(
     Raises:
         NotConverged: With PETSc's reason.
     """
-    problem.eps.value = eps
+    problem.eps = eps
     if successive:
         problem.set_reference(problem.cold_start())
     how: dict[str, Any] = {"unchanged": successive, "least": least, "tolerance": tolerance, "monitor": monitor}
@@ -86,25 +86,25 @@ def solve_penalty(
             # tiny eps its penetration is less; from a larger eps it comes from a penetration
             outcome = joined(outcome, _by_continuation(problem, eps, how))
         return require(outcome, problem, eps, tolerance)
-    start = problem.solution().x.array
+    start = problem.u
     outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
     if not outcome.converged:
-        problem.set_reference(start)
+        problem.set_unknown(start)
         outcome = joined(outcome, _by_continuation(problem, eps, how))
     return require(outcome, problem, eps, tolerance)
 
 
-def soft_eps(problem: Problem) -> float:
+def soft_eps(problem: System) -> float:
     """The eps for which the penalty diagonal equals the stiffness (collective)."""
-    comm, diagonal = problem.level.comm, diagonal_of(problem)
+    comm, diagonal = problem.comm, diagonal_of(problem)
     return largest(comm, problem.weights) / max(largest(comm, diagonal[~problem.fixed]), TINY)
 
 
-def diagonal_of(problem: Problem) -> np.ndarray:
+def diagonal_of(problem: System) -> np.ndarray:
     """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty (collective)."""
-    if problem.affine and problem.level.pair.nodal:
-        return problem.nodal.diagonal
-    state = problem.state()
+    if problem.affine and problem.nodal:
+        return problem.matrices.diagonal
+    state = problem.vector()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
     found = diagonal.array_r.copy()
     for owner in (state, diagonal):
@@ -112,7 +112,7 @@ def diagonal_of(problem: Problem) -> np.ndarray:
     return found
 
 
-def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
+def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, how, multigrid)
     for _ in range(MAX_REFERENCE_UPDATES):
@@ -124,35 +124,35 @@ def _settled(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None)
     return outcome
 
 
-def _by_continuation(problem: Problem, eps: float, how: dict[str, Any]) -> Outcome:
+def _by_continuation(problem: System, eps: float, how: dict[str, Any]) -> Outcome:
     """Continuation in eps, from a penalty diagonal of the size of the stiffness."""
     outcomes = []
     softer = soft_eps(problem)
     while softer > eps:
-        problem.eps.value = softer
+        problem.eps = softer
         outcomes.append(_settled(problem, {**how, "tolerance": max(how["tolerance"], CONTINUATION_TOLERANCE)}, None))
         if not outcomes[-1].converged:  # a smaller eps does not converge either
             return reduce(joined, outcomes)
         softer *= CONTINUATION_FACTOR
-    problem.eps.value = eps
+    problem.eps = eps
     outcomes.append(_settled(problem, how, None))
     return reduce(joined, outcomes)
 
 
-def smallest_eps(problem: Problem) -> float:
+def smallest_eps(problem: System) -> float:
     """The smallest eps: above `STIFFEST` times the stiffness, D/eps exceeds floating-point resolution (collective).
 
     The penetration eps p is then below the last digit of the neighbouring values of u; round-off decides which nodes
     are in contact, and active sets do not converge. 0 where contact couples nodes or effects are not affine.
     """
-    if not problem.affine or not problem.level.pair.nodal:
+    if not problem.affine or not problem.nodal:
         return 0.0
-    stiff = problem.touchable & (problem.nodal.diagonal > 0)
-    flexible = np.divide(problem.weights, problem.nodal.diagonal, out=np.zeros(len(stiff)), where=stiff)
-    return max(largest(problem.level.comm, flexible), 0.0) / STIFFEST
+    stiff = problem.touchable & (problem.matrices.diagonal > 0)
+    flexible = np.divide(problem.weights, problem.matrices.diagonal, out=np.zeros(len(stiff)), where=stiff)
+    return max(largest(problem.comm, flexible), 0.0) / STIFFEST
 
 
-def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
+def _attempts(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
     A line search ends where the round-off of the energy, or of the norm of the residual, hides any descent: full steps
@@ -172,7 +172,7 @@ def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None
 
 
 def _attempt(
-    problem: Problem, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
+    problem: System, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
 ) -> Outcome:
     full = search == "basic" and not objective
     must_shrink = full and how["unchanged"] and problem.active_sets_shrink
@@ -192,8 +192,8 @@ def joined(first: Outcome, second: Outcome) -> Outcome:
     )  # fmt: skip
 
 
-def penalty_pressure(problem: Problem) -> np.ndarray:
+def penalty_pressure(problem: System) -> np.ndarray:
     """(3.7)-(3.8) in the gap form: p_i = -(w - gap)^+ / eps, at the owned points of I."""
     lower, upper = problem.pressed_gaps()
-    p = (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) / float(problem.eps.value)
+    p = (np.maximum(-lower, 0.0) - np.maximum(-upper, 0.0)) / problem.eps
     return np.where(problem.touchable, p, 0.0)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.newton import MAX_REFERENCE_UPDATES, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
+from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor, Stopping
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.solvers.multigrid import Multigrid
-from fenicsx_obstacle.solvers.newton import MAX_REFERENCE_UPDATES, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
-from fenicsx_obstacle.solvers.snes import Outcome, is_limited, require, run
-from fenicsx_obstacle.solvers.stopping import TOLERANCE, StepMonitor, Stopping
 
 # without descent PETSc's line search fails, or takes round-off for a minimum of its merit function
 LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
@@ -23,7 +23,7 @@ VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
 
 def solve_vi(
-    problem: Problem,
+    problem: System,
     *,
     multigrid: Multigrid | None = None,
     least: int = 0,
@@ -56,15 +56,15 @@ def solve_vi(
         return require(_from_penalty(problem, how), problem, None, tolerance)
     if problem.affine or not problem.constrained or is_limited(problem, "vi"):
         return require(_settled(problem, multigrid, how), problem, None, tolerance)
-    start = problem.solution().x.array
+    start = problem.u
     outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})
     if not outcome.converged:
-        problem.set_reference(start)
+        problem.set_unknown(start)
         outcome = joined(outcome, _from_penalty(problem, how))
     return require(outcome, problem, None, tolerance)
 
 
-def _refuse_other_solvers(problem: Problem) -> None:
+def _refuse_other_solvers(problem: System) -> None:
     """Reject a type of SNES for which `Stopping` is not made, or which ignores bounds.
 
     Raises:
@@ -79,7 +79,7 @@ def _refuse_other_solvers(problem: Problem) -> None:
         )
 
 
-def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+def _settled(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
     """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, multigrid, how)
     for _ in range(MAX_REFERENCE_UPDATES):
@@ -89,7 +89,7 @@ def _settled(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any])
     return outcome
 
 
-def _from_penalty(problem: Problem, how: dict[str, Any]) -> Outcome:
+def _from_penalty(problem: System, how: dict[str, Any]) -> Outcome:
     """From the solution with a small eps. PETSc's line search goes by the norm of the residual, which for what is not
     linear has minima of its own; the penalty has the energy, which has none. A body that contact alone holds needs
     closed nodes from the first step on, and SNES VI opens those where its first residual pulls."""
@@ -97,22 +97,21 @@ def _from_penalty(problem: Problem, how: dict[str, Any]) -> Outcome:
     return joined(first, _settled(problem, None, how))
 
 
-def _attempts(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+def _attempts(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
     """PETSc's line search; where it fails, because round-off is all that is left, full steps from the same start."""
-    start = problem.w.x.array.copy()
+    start = problem.w.copy()
     outcome = _attempt(problem, multigrid, how, VI)
     if outcome.reason in LINE_SEARCH_FAILED:
-        problem.w.x.array[:] = start  # PETSc looks for a local minimum then, with x as its work space
+        problem.w[:] = start  # PETSc looks for a local minimum then, with x as its work space
         outcome = joined(outcome, _attempt(problem, multigrid, how, {**VI, "snes_linesearch_type": "basic"}))
     return outcome
 
 
-def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any], options: Mapping[str, Any]) -> Outcome:
-    own = problem.level.owned
-    x = problem.state()
+def _attempt(problem: System, multigrid: Multigrid | None, how: dict[str, Any], options: Mapping[str, Any]) -> Outcome:
+    x = problem.vector()
     lower, upper = x.duplicate(), x.duplicate()
-    lower.array[:] = -INFINITE if problem.below is None else np.maximum(problem.below.x.array[:own], -INFINITE)
-    upper.array[:] = INFINITE if problem.above is None else np.minimum(problem.above.x.array[:own], INFINITE)
+    lower.array[:] = -INFINITE if problem.below is None else np.maximum(problem.below, -INFINITE)
+    upper.array[:] = INFINITE if problem.above is None else np.minimum(problem.above, INFINITE)
     # fixed dofs are no contact, even where the boundary value touches the obstacle
     lower.array[~problem.touchable], upper.array[~problem.touchable] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
@@ -127,7 +126,7 @@ def _attempt(problem: Problem, multigrid: Multigrid | None, how: dict[str, Any],
     return outcome
 
 
-def residual_pressure(problem: Problem) -> np.ndarray:
+def residual_pressure(problem: System) -> np.ndarray:
     """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere (collective).
 
     The last residual must be the one of the solution.

@@ -8,8 +8,8 @@ from typing import Any
 
 from petsc4py import PETSc
 
-from fenicsx_obstacle import releases
-from fenicsx_obstacle.solvers.multigrid import SMOOTHER
+from fenicsx_obstacle.algebra import releases
+from fenicsx_obstacle.algebra.multigrid import SMOOTHER
 
 IN_LIBRARY = 76  # PETSC_ERR_LIB
 LARGEST = 200_000  # unknowns for a direct solver

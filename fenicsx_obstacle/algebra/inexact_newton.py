@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.solvers.stopping import Stopping
+from fenicsx_obstacle.algebra.stopping import Stopping
 
 ON_THE_WAY = 0.1  # of the unbalanced force: more accuracy finds no better active set
 FEW = 2e-4  # of the contact nodes that change: the next system is most likely the last

@@ -53,7 +53,7 @@ class Steps:
             motion, u = problem.data.motion, self.u_values[0]
             motion.past.x.array[:] = 2 / dt * u
             motion.past_twice.x.array[:] = 4 / dt**2 * (u + dt * self.velocity)
-            problem.forms.impulse = -self.impulse
+            problem.law.impulse = -self.impulse
 
     def accept(self, t: float, u: np.ndarray) -> None:
         """Accept u as the solution at a new time."""

@@ -16,19 +16,17 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.solvability import LIMIT
-from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.solvers import data_scales
-from fenicsx_obstacle.solvers.data_scales import (
+from fenicsx_obstacle.algebra import data_scales, releases
+from fenicsx_obstacle.algebra.data_scales import (
     EPSILON,
     ROUNDOFF_MARGIN,
     determined,
     negligible_force,
     stiffness_of,
 )
-from fenicsx_obstacle.solvers.monotone_sets import Shrinking
+from fenicsx_obstacle.algebra.monotone_sets import Shrinking
+from fenicsx_obstacle.algebra.system import LIMIT, System
+from fenicsx_obstacle.parallel import total
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
@@ -64,7 +62,7 @@ class Step:
 
 
 # called in each step, with the obstacle in contact with each owned point of I: -1 lower, 1 upper, 0 none (collective)
-StepMonitor = Callable[[Problem, Step, np.ndarray], None]
+StepMonitor = Callable[[System, Step, np.ndarray], None]
 
 
 @dataclass
@@ -89,7 +87,7 @@ class Stopping:
         history: One `Step` per evaluation.
     """
 
-    problem: Problem
+    problem: System
     exact_bounds: bool = False
     unchanged: bool = False
     watch_cycles: bool = False
@@ -109,7 +107,7 @@ class Stopping:
     def __call__(self, snes: PETSc.SNES, iteration: int, norms: Any) -> int:
         """PETSc's callback (collective); the state is the one of the last residual."""
         problem = self.problem
-        comm = problem.level.comm
+        comm = problem.comm
         elastic = problem.elastic.array_r
         active, residual = self._active(elastic)
         changed = active != self.before if self.before is not None else active != 0
@@ -183,10 +181,10 @@ class Stopping:
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
         """Whether the active set has changed; nodes whose contact force is round-off are not counted."""
-        if self.history[-1].changed == 0 or not self.problem.level.pair.nodal:
+        if self.history[-1].changed == 0 or not self.problem.nodal:
             return self.history[-1].changed > 0
         pressing = np.where(changed, np.abs(self.problem.reaction.array_r), 0.0)
-        return total(self.problem.level.comm, pressing) > floor
+        return total(self.problem.comm, pressing) > floor
 
     def _stalls(self) -> bool:
         """Whether the same linear system was solved STALLED times, and its residual did not become smaller."""
@@ -201,8 +199,8 @@ class Stopping:
         round-off is half of epsilon.
         """
         stiffness = self._stiffness()
-        w = self.problem.w.x.array[: len(stiffness)]
-        return EPSILON * total(self.problem.level.comm, np.dot(stiffness, np.abs(w)))
+        w = self.problem.w[: len(stiffness)]
+        return EPSILON * total(self.problem.comm, np.dot(stiffness, np.abs(w)))
 
     @cached_property
     def _nothing(self) -> float:
@@ -215,7 +213,7 @@ class Stopping:
 
     def _repeats(self, active: np.ndarray) -> bool:
         """Whether this active set was met before: Newton cycles (collective)."""
-        digests = self.problem.level.comm.allgather(blake2b(active.tobytes(), digest_size=8).digest())
+        digests = self.problem.comm.allgather(blake2b(active.tobytes(), digest_size=8).digest())
         key = tuple(digests)
         self._seen[key] = self._seen.get(key, 0) + 1
         return self._seen[key] > 1

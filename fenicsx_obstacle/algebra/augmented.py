@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra.newton import joined, penalty_pressure, soft_eps, solve_penalty
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import StepMonitor
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
-from fenicsx_obstacle.parallel import largest, smallest
-from fenicsx_obstacle.solvers.newton import joined, penalty_pressure, soft_eps, solve_penalty
-from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import StepMonitor
+from fenicsx_obstacle.parallel import largest
 
 STIFF = 1e-4  # eps over the flexibility D_i / A_ii of a cell: errors shrink by about this factor in each step
 CLOSE = 1e-10  # penetration over the range of u
 STEPS = 50
 
 
-def solve_augmented(problem: Problem, *, monitor: StepMonitor | None = None) -> Outcome:
+def solve_augmented(problem: System, *, monitor: StepMonitor | None = None) -> Outcome:
     """Solve the inequality with u <= g at the points of I, from the present state (collective).
 
     Afterwards the penalty pressure is the multiplier.
@@ -36,20 +36,18 @@ def solve_augmented(problem: Problem, *, monitor: StepMonitor | None = None) -> 
     Raises:
         NotConverged: With the reason.
     """
-    multiplier = problem.forms.multiplier
-    assert multiplier is not None
-    comm, own = problem.level.comm, len(problem.weights)
-    multiplier.x.array[:] = 0.0
+    state, comm = problem.state, problem.comm
+    assert state.multiplier is not None
+    state.multiplier[:] = 0.0
+    state.share_all()
     eps = STIFF * soft_eps(problem)
     outcome = solve_penalty(problem, eps, monitor=monitor)
     for _ in range(STEPS):
-        multiplier.x.array[:own] = penalty_pressure(problem)
-        multiplier.x.scatter_forward()
+        state.multiplier[:] = penalty_pressure(problem)
+        state.share_all()
         outcome = joined(outcome, solve_penalty(problem, eps, monitor=monitor))
-        u_values = problem.solution().x.array
-        span = largest(comm, u_values) - smallest(comm, u_values)
-        change = largest(comm, np.abs(penalty_pressure(problem) - multiplier.x.array[:own]))
-        if eps * change <= CLOSE * span:
+        change = largest(comm, np.abs(penalty_pressure(problem) - state.multiplier))
+        if eps * change <= CLOSE * problem.range_of_u():
             return outcome
     raise NotConverged("vi", "the multipliers of the augmented obstacle do not converge", outcome.iterations, eps=None,
-                       h=problem.level.h)  # fmt: skip
+                       h=problem.h)  # fmt: skip

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import total
 
 FEW = 8 * float(np.finfo(float).eps)  # of |A| |u|: how far the remainders themselves are known
@@ -25,7 +25,7 @@ class Shrinking:
     """Checks the active sets of the full steps of one attempt, with one obstacle on an M-matrix (all methods
     collective)."""
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: System):
         self.problem = problem
         self._side = 1.0 if problem.above is not None else -1.0
         self._active: np.ndarray | None = None
@@ -47,7 +47,7 @@ class Shrinking:
         if before is None:
             self._excess = excess
             return False
-        penalty_diagonal = np.where(before, problem.weights / float(problem.eps.value), 0.0)
+        penalty_diagonal = np.where(before, problem.weights / problem.eps, 0.0)
         left = np.abs(elastic + self._side * penalty_diagonal * np.where(before, excess, 0.0))
         left[problem.fixed] = 0.0
         entered = active & ~before
@@ -55,17 +55,17 @@ class Shrinking:
         rise, self._excess = excess[entered] - self._excess[entered], excess
         known, self._left = self._left, left
         self._steps += 1
-        if self._steps == 1 or total(problem.level.comm, len(rise)) == 0:
+        if self._steps == 1 or total(problem.comm, len(rise)) == 0:
             return False
         allowed = self._lift(ksp, known + left)[entered]
-        return total(problem.level.comm, np.count_nonzero(rise > SAFETY * allowed)) > 0
+        return total(problem.comm, np.count_nonzero(rise > SAFETY * allowed)) > 0
 
     def _lift(self, ksp: PETSc.KSP, forces: np.ndarray) -> np.ndarray:
         """The displacement by forces, with the active set of the last step fixed."""
         problem = self.problem
         z, b = problem.A.createVecs()
         diagonal = problem.A.getDiagonal()
-        round_off = FEW * diagonal.array_r * np.abs(problem.w.x.array[: len(forces)])
+        round_off = FEW * diagonal.array_r * np.abs(problem.w[: len(forces)])
         b.array[:] = forces + np.where(problem.fixed, 0.0, round_off)
         ksp.solve(b, z)
         lift = z.array.copy()

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.solvability import LIMIT
+from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)
@@ -19,59 +18,57 @@ NEGLIGIBLE_FORCE = 1e-30
 ROUNDOFF_MARGIN = 8.0  # round-off may exceed its estimate by this factor
 
 
-def range_of_data(problem: Problem, active: np.ndarray) -> tuple[float, float]:
+def range_of_data(problem: System, active: np.ndarray) -> tuple[float, float]:
     """The smallest and the largest value of u in the data; inf and -inf if the data have none (collective).
 
     Args:
         problem: Its boundary values, obstacles and supports.
         active: Which obstacle holds each owned point of I: -1 lower, 1 upper, 0 none.
     """
-    comm, own = problem.level.comm, problem.level.owned
-    dofs, values = problem.data.fixed
-    given = [np.atleast_1d(heights) for effect in problem.model.effects for heights in effect.heights(problem.data)]
-    given.append(values.x.array[dofs])
+    comm = problem.comm
+    given = [*problem.heights(), problem.given[problem.fixed]]
     if problem.constrained:
         for obstacle, side in zip(problem.obstacles(), (-1, 1), strict=True):
             held = problem.active_dofs(active == side)
-            heights = np.broadcast_to(obstacle, len(values.x.array))[:own][held]
+            heights = np.broadcast_to(obstacle, problem.owned)[held]
             given.append(heights[np.isfinite(heights)])
     known = np.concatenate(given)
     return smallest(comm, known), largest(comm, known)
 
 
-def forces_of_data(problem: Problem) -> float:
+def forces_of_data(problem: System) -> float:
     """The scale of the forces of the data (collective): the load, or the elastic forces of a u that equals the boundary
     values and obstacles and is constant elsewhere."""
-    comm = problem.level.comm
-    at_zero = total(comm, np.abs(problem.forms.forces_at(0.0)[~problem.fixed]))
-    return max(problem.load, at_zero, total(comm, np.abs(problem.forms.forces_at(problem.flat()))))
+    comm = problem.comm
+    at_zero = total(comm, np.abs(problem.law.forces_at(0.0)[~problem.fixed]))
+    return max(problem.load, at_zero, total(comm, np.abs(problem.law.forces_at(problem.flat()))))
 
 
-def nearest_gap(problem: Problem) -> float:
+def nearest_gap(problem: System) -> float:
     """The smallest distance of u from an obstacle, infinity if there is none (collective).
 
     A gap below the last digit of its obstacle is round-off and counts as contact.
     """
     found = []
     for gap, obstacle in zip(problem.gaps(), problem.obstacles(), strict=True):
-        heights = np.abs(np.broadcast_to(obstacle, len(problem.w.x.array)))
-        digit = EPSILON * (heights[: len(gap)] if problem.level.pair.nodal else problem.at_points(heights))
+        heights = np.abs(np.broadcast_to(obstacle, problem.owned))
+        digit = EPSILON * (heights if problem.nodal else problem.at_points(heights))
         found.append(np.abs(gap[np.abs(gap) > digit]))
-    return smallest(problem.level.comm, np.concatenate(found))
+    return smallest(problem.comm, np.concatenate(found))
 
 
-def negligible_force(problem: Problem, stiffness: np.ndarray) -> float:
+def negligible_force(problem: System, stiffness: np.ndarray) -> float:
     """A force that is negligible against stiffness times nearest gap (collective)."""
     nearest = nearest_gap(problem)
-    return NEGLIGIBLE_FORCE * nearest * total(problem.level.comm, stiffness) if np.isfinite(nearest) else 0.0
+    return NEGLIGIBLE_FORCE * nearest * total(problem.comm, stiffness) if np.isfinite(nearest) else 0.0
 
 
-def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
+def stiffness_of(problem: System, *, exact_bounds: bool) -> np.ndarray:
     """Diagonal of A at owned free dofs, 0 at fixed ones; without the penalty diagonal (collective)."""
-    if exact_bounds and problem.affine and problem.level.pair.nodal:
-        return problem.nodal.diagonal * ~problem.fixed
+    if exact_bounds and problem.affine and problem.nodal:
+        return problem.matrices.diagonal * ~problem.fixed
     if not problem.A.assembled:  # no step was needed
-        state = problem.state()
+        state = problem.vector()
         problem.jacobian(state, penalised=not exact_bounds)
         state.destroy()
     diagonal = problem.A.getDiagonal()
@@ -80,15 +77,14 @@ def stiffness_of(problem: Problem, *, exact_bounds: bool) -> np.ndarray:
     return stiffness
 
 
-def _round_off_outside(problem: Problem, stiffness: np.ndarray, low: float, high: float) -> float:
+def _round_off_outside(problem: System, stiffness: np.ndarray, low: float, high: float) -> float:
     """The round-off of the residual due to the part of u outside of an interval; 0 if that is empty (collective)."""
-    own = problem.level.owned
-    u = problem.w.x.array[:own] + problem.reference.x.array[:own]
-    total_force = total(problem.level.comm, np.dot(stiffness, np.abs(u - np.clip(u, low, high))))
+    u = problem.u
+    total_force = total(problem.comm, np.dot(stiffness, np.abs(u - np.clip(u, low, high))))
     return 0.0 if low > high else EPSILON * total_force
 
 
-def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unbalanced: float) -> bool:
+def determined(problem: System, active: np.ndarray, stiffness: np.ndarray, unbalanced: float) -> bool:
     """Whether the data, and not round-off, determine a state in balance (collective).
 
     Args:
@@ -97,9 +93,8 @@ def determined(problem: Problem, active: np.ndarray, stiffness: np.ndarray, unba
         stiffness: Diagonal of A at owned free dofs, 0 at fixed ones.
         unbalanced: Sum of |residual| over free dofs.
     """
-    comm, own = problem.level.comm, problem.level.owned
+    comm, w = problem.comm, problem.w
     low, high = range_of_data(problem, active)
-    w = problem.w.x.array[:own]
     beyond = _round_off_outside(problem, stiffness, low, high)
     if max(beyond, unbalanced) <= LIMIT * problem.load:
         return True

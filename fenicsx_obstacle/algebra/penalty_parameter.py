@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.solvability import LIMIT
+from fenicsx_obstacle.algebra.data_scales import negligible_force
+from fenicsx_obstacle.algebra.newton import diagonal_of, joined, smallest_eps, solve_penalty
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.solvers.data_scales import negligible_force
-from fenicsx_obstacle.solvers.newton import diagonal_of, joined, smallest_eps, solve_penalty
-from fenicsx_obstacle.solvers.options import SolverOptions
-from fenicsx_obstacle.solvers.snes import Outcome
-from fenicsx_obstacle.solvers.stopping import TOLERANCE
 
 PENETRATION = 0.01  # of the range of u between the obstacles: the largest penetration that eps = "auto" accepts
 AIM = 0.1  # of that: the penetration that a new eps is chosen for
@@ -35,7 +34,7 @@ class NoPositiveDiagonal(InputError):
     """A has no positive diagonal entry at a contact node, from which eps = "auto" could be chosen."""
 
 
-def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
+def penalty_parameter(problem: System, options: SolverOptions) -> float:
     """eps as a number, in units of u/p (collective).
 
     A number is absolute. A formula in h is divided by the largest tension: (1/eps) D and the stiffness then stay in
@@ -47,14 +46,15 @@ def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
         InputError: If it is not positive and finite, or below the floor.
     """
     formula, automatic = options.formula, options.eps == "auto"
-    tension = problem.model.elastic.stiffness(problem.data)
+    tension = problem.tension()
     if automatic and tension is None:
         return _share_of_compliance(problem)
-    eps, place = formula.value(problem.level.h), f"{options.source} eps = {formula.text}"
+    eps, place = formula.value(problem.h), f"{options.source} eps = {formula.text}"
     if not 0 < eps < np.inf:
         raise InputError(f"{place}: must be positive, it is {eps:g}")
     if formula.scaled:
-        eps /= largest(problem.level.comm, tension)
+        assert tension is not None
+        eps /= tension
     floor = smallest_eps(problem)
     if automatic:
         return max(eps, floor)
@@ -66,7 +66,7 @@ def penalty_parameter(problem: Problem, options: SolverOptions) -> float:
     return eps
 
 
-def _share_of_compliance(problem: Problem) -> float:
+def _share_of_compliance(problem: System) -> float:
     """A share of the median of D_i/A_ii over the free nodes, A being the stiffness at the present state (collective).
 
     Raises:
@@ -74,7 +74,7 @@ def _share_of_compliance(problem: Problem) -> float:
     """
     diagonal = diagonal_of(problem)
     good = (diagonal > 0) & (problem.weights > 0) & ~problem.fixed
-    everywhere = np.concatenate(problem.level.comm.allgather(problem.weights[good] / diagonal[good]))
+    everywhere = np.concatenate(problem.comm.allgather(problem.weights[good] / diagonal[good]))
     if not len(everywhere):
         raise NoPositiveDiagonal
     return problem.eps_share * float(np.median(everywhere))
@@ -100,7 +100,7 @@ class PenaltySolve:
         self.eps, self._first, self._share = eps, eps, share
         self._automatic, self._successive, self._source = automatic, successive, source
 
-    def __call__(self, problem: Problem, *, tolerance: float = TOLERANCE, **how: Any) -> Outcome:
+    def __call__(self, problem: System, *, tolerance: float = TOLERANCE, **how: Any) -> Outcome:
         """Solve from the present state (collective).
 
         Args:
@@ -115,7 +115,7 @@ class PenaltySolve:
         self.eps = self._first  # each step in time depends on its start alone
         outcome = self._once(problem, tolerance, how)
         if tolerance >= LIMIT or not self._automatic:
-            if tolerance < LIMIT and (found := large_penetration(problem)) and problem.level.comm.rank == 0:
+            if tolerance < LIMIT and (found := large_penetration(problem)) and problem.comm.rank == 0:
                 warnings.warn(f"{self._source} {found}", PenetrationWarning, stacklevel=2)
             return outcome
         how = {**how, "patience": None, "least": 0}
@@ -134,24 +134,24 @@ class PenaltySolve:
             outcome.solver,
             f"eps = 'auto' found no eps that fits the solution, down to {self.eps:.2g}; "
             "take the method vi, or give eps as a number",
-            outcome.iterations, eps=None, h=problem.level.h,
+            outcome.iterations, eps=None, h=problem.h,
         )  # fmt: skip
 
-    def _once(self, problem: Problem, tolerance: float, how: dict[str, Any]) -> Outcome:
+    def _once(self, problem: System, tolerance: float, how: dict[str, Any]) -> Outcome:
         return solve_penalty(
             problem, self.eps * self._share, successive=self._successive, tolerance=tolerance, **how
         )  # fmt: skip
 
 
-def penetration_and_range(problem: Problem) -> tuple[float, float]:
+def penetration_and_range(problem: System) -> tuple[float, float]:
     """The largest penetration of the present state, and the range of its u where it is between the obstacles
     (collective)."""
-    comm = problem.level.comm
-    u = np.clip(problem.w.x.array + problem.reference.x.array, *problem.obstacles())
+    comm = problem.comm
+    u = np.clip(problem.u, *problem.obstacles())
     return max(largest(comm, _excess(problem)), 0.0), max(largest(comm, u) - smallest(comm, u), 0.0)
 
 
-def large_penetration(problem: Problem) -> str | None:
+def large_penetration(problem: System) -> str | None:
     """A remark, if the penetration is not small compared with the range of u (collective)."""
     penetration, height = penetration_and_range(problem)
     if penetration <= PENETRATION * height:
@@ -161,7 +161,7 @@ def large_penetration(problem: Problem) -> str | None:
     return f"penetration is {share} {where}: for accurate values take a smaller eps, or the method vi"
 
 
-def fitting_eps(problem: Problem, eps: float) -> float:
+def fitting_eps(problem: System, eps: float) -> float:
     """The given eps if it fits the present solution, otherwise a smaller one that does (collective).
 
     It fits if
@@ -175,63 +175,61 @@ def fitting_eps(problem: Problem, eps: float) -> float:
         problem: Solved with this eps.
         eps: In units of u/p.
     """
-    comm, fitting = problem.level.comm, eps
+    comm, fitting = problem.comm, eps
     penetration, height = penetration_and_range(problem)
     if penetration == 0.0:
         return eps
     if FLAT * penetration < height and penetration > PENETRATION * height:
         fitting = AIM * PENETRATION * height / penetration * eps
-    if problem.model.elastic.stiffness(problem.data) is None:  # otherwise eps is that of the largest tension
+    if problem.tension() is None:  # otherwise eps is that of the largest tension
         least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
         if eps > TOO_SOFT * least:
             fitting = min(fitting, least)
     return eps if fitting < eps and _presses_by_round_off(problem, eps) else fitting
 
 
-def _presses_by_round_off(problem: Problem, eps: float) -> bool:
+def _presses_by_round_off(problem: System, eps: float) -> bool:
     """Whether the contact forces are the round-off of a state that only touches the obstacle (collective)."""
-    force = total(problem.level.comm, problem.weights * _excess(problem)) / eps
+    force = total(problem.comm, problem.weights * _excess(problem)) / eps
     return force <= negligible_force(problem, diagonal_of(problem) * ~problem.fixed)
 
 
-def _excess(problem: Problem) -> np.ndarray:
+def _excess(problem: System) -> np.ndarray:
     """The penetration at owned points of I."""
     beyond = np.maximum(-np.minimum(*problem.gaps()), 0.0)
     return np.where(problem.touchable, beyond, 0.0)
 
 
-def _compliance_in_contact(problem: Problem) -> np.ndarray:
+def _compliance_in_contact(problem: System) -> np.ndarray:
     """D_i/A_ii at owned contact nodes, A being the stiffness of the solution; elsewhere infinite (collective)."""
     none = np.full(len(problem.weights), np.inf)
-    if not problem.level.pair.nodal:
+    if not problem.nodal:
         return none
     diagonal, weights = diagonal_of(problem), problem.weights
     return np.divide(weights, diagonal, out=none, where=(_excess(problem) > 0) & (diagonal > 0))
 
 
-def _of_median_size(problem: Problem) -> np.ndarray:
+def _of_median_size(problem: System) -> np.ndarray:
     """The factor by which D_i/A_ii changes if the cells at a node are of median size (collective).
 
     D_i/A_ii is proportional to a power of the size: 2 if contact is in the domain, 1 if it is on the boundary. On a
     graded mesh it is small in the small cells, but the penetration is not to be smaller there than elsewhere.
     """
-    weights, level = problem.weights, problem.level
-    dim = level.mesh.topology.dim
-    size, power = (dim, 2.0) if not problem.data.thin else (dim - 1, 1.0)
+    weights, power = problem.weights, problem.compliance_power
     good = problem.touchable & (weights > 0)
-    everywhere = np.concatenate(level.comm.allgather(weights[good]))
-    if size == 0 or not len(everywhere):
+    everywhere = np.concatenate(problem.comm.allgather(weights[good]))
+    if power == 0 or not len(everywhere):
         return np.ones(len(weights))
     relative = np.where(good, weights / float(np.median(everywhere)), 1.0)
-    return np.asarray(relative ** (-power / size))
+    return np.asarray(relative**-power)
 
 
-def _lift(problem: Problem, ratio: float) -> None:
+def _lift(problem: System, ratio: float) -> None:
     """Move u back towards the obstacle where it is beyond it, so that the contact forces stay as they are with an eps
     that is smaller by this ratio (collective)."""
-    if not problem.level.pair.nodal:
+    if not problem.nodal:
         return
     lower, upper = (np.maximum(-gap, 0.0) for gap in problem.gaps())
-    w = problem.w.x.array[: len(lower)]
+    w = problem.w
     w += np.where(problem.touchable, (1.0 - ratio) * (lower - upper), 0.0)
-    problem.w.x.scatter_forward()
+    problem.state.share()

@@ -11,12 +11,9 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.solvability import LIMIT
-from fenicsx_obstacle.errors import NotConverged
-from fenicsx_obstacle.solvers.data_scales import determined, stiffness_of
-from fenicsx_obstacle.solvers.inexact_newton import Inexact
-from fenicsx_obstacle.solvers.linear import (
+from fenicsx_obstacle.algebra.data_scales import determined, stiffness_of
+from fenicsx_obstacle.algebra.inexact_newton import Inexact
+from fenicsx_obstacle.algebra.linear import (
     DIRECT,
     GENERAL,
     INEXACT,
@@ -27,9 +24,11 @@ from fenicsx_obstacle.solvers.linear import (
     direct_first,
     user_has_set,
 )
-from fenicsx_obstacle.solvers.multigrid import HeldRows, Holding, KeptLevels, Multigrid, OnInactive
-from fenicsx_obstacle.solvers.plausibility import violation
-from fenicsx_obstacle.solvers.stopping import MEANINGLESS, Step, Stopping, in_words
+from fenicsx_obstacle.algebra.multigrid import HeldRows, Holding, KeptLevels, Multigrid, OnInactive
+from fenicsx_obstacle.algebra.plausibility import violation
+from fenicsx_obstacle.algebra.stopping import MEANINGLESS, Step, Stopping, in_words
+from fenicsx_obstacle.algebra.system import LIMIT, System
+from fenicsx_obstacle.errors import NotConverged
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +63,7 @@ class Outcome:
 
 
 def run(
-    problem: Problem,
+    problem: System,
     name: str,
     options: Mapping[str, Any],
     stopping: Stopping,
@@ -95,8 +94,8 @@ def run(
     if direct or chosen:
         multigrid = None
     linear: Mapping[str, Any] = {**(LINEAR if problem.symmetric else GENERAL), **problem.preconditioner}
-    directly = not chosen and not problem.preconditioner and direct_first(problem.level.dofs)
-    if direct or not problem.level.pair.nodal or directly:
+    directly = not chosen and not problem.preconditioner and direct_first(problem.dofs)
+    if direct or not problem.nodal or directly:
         linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
     held: Holding | None = multigrid
     if problem.preconditioner and not (penalised or chosen or linear is DIRECT):
@@ -110,8 +109,8 @@ def run(
         database["ksp_norm_type"] = INEXACT["ksp_norm_type"]
     if user_has_set(f"{prefix}ksp_type"):
         database.pop("ksp_norm_type", None)  # the natural norm is one of few methods
-    snes = PETSc.SNES().create(problem.level.comm)
-    x = problem.state()
+    snes = PETSc.SNES().create(problem.comm)
+    x = problem.vector()
     residual = x.duplicate()
     # a NaN is seen by PETSc on all ranks; an exception would leave the others waiting
     snes.setFunction(lambda _, x, out: problem.residual(x, out, penalised=penalised), residual)
@@ -119,7 +118,7 @@ def run(
     def jacobian(_: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         if multigrid is not None and penalised:
             problem.set_state(x)
-            multigrid.truncate(problem.nodal.penalty_diagonal())
+            multigrid.truncate(problem.matrices.penalty_diagonal())
         else:
             problem.jacobian(x, penalised=penalised)
 
@@ -156,7 +155,7 @@ def run(
     else:
         snes.destroy()
     failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
-    if failed and problem.level.dofs <= LARGEST and not any(user_has_set(f"{prefix}{key}") for key in LINEAR):
+    if failed and problem.dofs <= LARGEST and not any(user_has_set(f"{prefix}{key}") for key in LINEAR):
         _log.info("an iterative linear solver did not converge; a direct solver is used")
         stopping.begin_again()
         again = run(problem, name, options, stopping, penalised=penalised, objective=objective, prepare=prepare,
@@ -180,23 +179,21 @@ def _detached(snes: PETSc.SNES) -> PETSc.SNES:
     return snes
 
 
-def is_limited(problem: Problem, solver: str) -> bool:
+def is_limited(problem: System, solver: str) -> bool:
     """Whether the user's options limit the number of steps of a solver: the limit is kept."""
     return user_has_set(problem.options_of(solver) + "snes_max_it")
 
 
-def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: float) -> Outcome:
+def require(outcome: Outcome, problem: System, eps: float | None, tolerance: float) -> Outcome:
     """The outcome, if it converged to a solution (collective).
 
     Raises:
         NotConverged: Otherwise: no unconverged state is ever an answer, and none that no solution can be.
     """
     if not outcome.converged:
-        reason = in_words(outcome.reason)
-        if any(effect.greatest(problem.data) is not None for effect in problem.model.effects):
-            reason += "; no solution exists where the load is beyond the limit load of the film"
+        reason = in_words(outcome.reason) + problem.hint
         eps = None if outcome.reason == MEANINGLESS else eps
-        raise NotConverged(outcome.solver, reason, outcome.iterations, eps=eps, h=problem.level.h)
+        raise NotConverged(outcome.solver, reason, outcome.iterations, eps=eps, h=problem.h)
     if tolerance < LIMIT and outcome.active is not None:  # otherwise it is a start for a finer level
         found = violation(problem, outcome.active)
         if outcome.roundoff_limited:
@@ -204,5 +201,5 @@ def require(outcome: Outcome, problem: Problem, eps: float | None, tolerance: fl
             if not determined(problem, outcome.active, stiffness, outcome.history[-1].unbalanced):
                 found = in_words(MEANINGLESS)
         if found is not None:
-            raise NotConverged(outcome.solver, found, outcome.iterations, eps=None, h=problem.level.h)
+            raise NotConverged(outcome.solver, found, outcome.iterations, eps=None, h=problem.h)
     return outcome

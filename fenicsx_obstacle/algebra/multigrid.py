@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import total
 
 # times the membrane around a node: a larger penalty diagonal fixes it; coarse corrections do not change it
@@ -47,7 +47,7 @@ class Multigrid:
         coarser: The multigrid of all but the last; None on the coarsest.
     """
 
-    def __init__(self, problem: Problem, coarser: Multigrid | None):
+    def __init__(self, problem: System, coarser: Multigrid | None):
         self.problem, self.coarser = problem, coarser
         self._moves, self._force = problem.A.createVecs()  # 1 where a correction may move a node; what that meets
         if coarser is not None:
@@ -59,9 +59,9 @@ class Multigrid:
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
         """Truncate the interpolation for a penalty diagonal at owned nodes, on this level and all coarser ones
         (collective)."""
-        nodal = self.problem.nodal
-        nodal.add_penalty_diagonal(self.problem.A, penalty_diagonal)
-        self._moves.array[:] = ~((penalty_diagonal > STIFFER * nodal.diagonal) | self.problem.fixed)
+        matrices = self.problem.matrices
+        matrices.add_penalty_diagonal(self.problem.A, penalty_diagonal)
+        self._moves.array[:] = ~((penalty_diagonal > STIFFER * matrices.diagonal) | self.problem.fixed)
         if self.coarser is None:
             return
         self._shift(penalty_diagonal)
@@ -84,7 +84,7 @@ class Multigrid:
 
     def _shift(self, penalty_diagonal: np.ndarray | None = None) -> None:
         """Compute the row sums of stiffness and penalty diagonal over nodes that are not fixed."""
-        self.problem.nodal.stiffness.mult(self._moves, self._force)
+        self.problem.matrices.stiffness.mult(self._moves, self._force)
         if penalty_diagonal is not None:
             np.add(self._force.array, penalty_diagonal, out=self._force.array, where=self._moves.array_r > 0)
         self._force.pointwiseMult(self._force, self._moves)
@@ -112,7 +112,7 @@ class Holding(Protocol):
     """A preconditioner of the matrix of a problem with a penalty diagonal at contact nodes."""
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> System:
         """The problem whose matrix is preconditioned."""
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
@@ -135,7 +135,7 @@ class HeldRows:
         problem: With a preconditioner.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: System):
         self.problem = problem
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
@@ -157,21 +157,21 @@ class KeptLevels:
     smoother is renewed. At fixed dofs, where interpolation may be other than 0 by round-off, it is the identity.
     """
 
-    def __init__(self, problem: Problem, prefix: str):
+    def __init__(self, problem: System, prefix: str):
         self.problem, self.prefix = problem, prefix
         self._inner: PETSc.PC | None = None
         self._closed = np.empty(0, dtype=bool)
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Keep the coarse levels, or make new ones (collective)."""
-        problem, closed = self.problem, self.problem.nodal.penalty_diagonal() > 0
+        problem, closed = self.problem, self.problem.matrices.penalty_diagonal() > 0
         if self._inner is not None and problem.affine:
             counted = (closed & ~self._closed, closed, self._closed)
-            others, now, then = (total(problem.level.comm, np.count_nonzero(one)) for one in counted)
+            others, now, then = (total(problem.comm, np.count_nonzero(one)) for one in counted)
             if others == 0 and now >= ENOUGH_CLOSED * then:
                 return
         self.destroy(pc)
-        self._closed, self._inner = closed, PETSc.PC().create(problem.level.comm)
+        self._closed, self._inner = closed, PETSc.PC().create(problem.comm)
         self._inner.setOptionsPrefix(self.prefix)
         self._inner.setOperators(problem.A)
         self._inner.setFromOptions()
@@ -220,7 +220,7 @@ class OnInactive:
         inactive = self.snes.getVIInactiveSet()
         start, _ = problem.A.getOwnershipRange()
         self.free = inactive.getIndices() - start
-        held = np.ones(problem.level.owned, dtype=bool)
+        held = np.ones(problem.owned, dtype=bool)
         held[self.free] = False
         self.multigrid.truncate(np.where(held & ~problem.fixed, np.inf, 0.0))
         if not self.multigrid.keeps_sizes:
@@ -239,7 +239,7 @@ class OnInactive:
             owner.destroy()
 
 
-def chain(problems: Sequence[Problem]) -> list[Multigrid]:
+def chain(problems: Sequence[System]) -> list[Multigrid]:
     """One multigrid for each of the problems, from the coarsest on."""
     grids: list[Multigrid] = []
     for problem in problems:

@@ -14,6 +14,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.releases import AMG
 from fenicsx_obstacle.discrete.levels import Level
 
 REPETITIONS = 3
@@ -50,7 +51,7 @@ def _once(level: Level, a: object, f: object, bc: object, clock: Callable[[], fl
     ksp.setOperators(A)
     ksp.setType("cg")
     ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-    ksp.getPC().setType(releases.AMG)  # of hypre's, BoomerAMG is PETSc's default
+    ksp.getPC().setType(AMG)  # of hypre's, BoomerAMG is PETSc's default
     ksp.setTolerances(rtol=TOLERANCE, atol=0.0)
     ksp.solve(b, x)
     level.comm.barrier()

@@ -1,0 +1,260 @@
+"""Obstacle problems given as matrices, from any finite element or finite difference code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenicsx_obstacle.algebra.affine import Affine
+from fenicsx_obstacle.algebra.coarse import SMALLEST, algebraic_levels
+from fenicsx_obstacle.algebra.coarsening import FIXED, FREE, Nodes, first_keys
+from fenicsx_obstacle.algebra.kernels import kernels
+from fenicsx_obstacle.algebra.methods import method_of
+from fenicsx_obstacle.algebra.multigrid import chain
+from fenicsx_obstacle.algebra.nested import solve_nested
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.stopping import Step
+from fenicsx_obstacle.algebra.system import State, System
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import largest, smallest, total
+
+SYMMETRIC = 1e-12  # of the largest entry: a difference of A and its transpose that is round-off
+NAME = "solve_system:"
+
+
+class MatrixSystem(System):
+    """A u = f with bounds of u, without a mesh."""
+
+    all_points = True
+
+    def __init__(
+        self,
+        A: PETSc.Mat,
+        f: np.ndarray,
+        *,
+        lower: np.ndarray | None,
+        upper: np.ndarray | None,
+        weights: np.ndarray,
+        fixed: np.ndarray,
+        given: np.ndarray,
+    ):
+        """Take matrices (collective); arrays hold owned rows, and all of them are checked.
+
+        Args:
+            A: Stiffness, without boundary conditions.
+            f: Load.
+            lower: Lower bound of u, -inf where there is none; None if there is none at all.
+            upper: Upper bound.
+            weights: D.
+            fixed: Whether u is given.
+            given: Its values there.
+        """
+        self.comm, self.lower, self.upper, self.fixed, self.given = A.comm.tompi4py(), lower, upper, fixed, given
+        self.symmetric = self.has_energy = bool(A.isSymmetric(SYMMETRIC * max(A.norm(PETSc.NormType.INFINITY), 1e-300)))
+        minus_load, w_vector, r_vector = A.createVecLeft(), A.createVecRight(), A.createVecRight()
+        minus_load.array[:] = -f
+        state = State(w_vector, r_vector, lower=lower is not None, upper=upper is not None)
+        self._set_law(Affine(self.comm, state, A, minus_load, weights, np.flatnonzero(fixed)))
+        self.load = total(self.comm, np.abs(f[~fixed]))
+        if total(self.comm, np.count_nonzero(fixed)) == 0:
+            self.floating = self._loose_constant()
+        self.set_reference(self.cold_start())
+
+    def _loose_constant(self) -> bool:
+        """Whether A maps constants to 0, so that contact alone holds u; then it begins in contact (collective).
+
+        Raises:
+            InputError: If the load does not press u against an obstacle.
+        """
+        one = self.matrices.stiffness.createVecRight()
+        one.set(1.0)
+        sums = one.duplicate()
+        self.matrices.stiffness.mult(one, sums)
+        rows = total(self.comm, np.abs(sums.array_r))
+        scale = total(self.comm, np.abs(self.matrices.diagonal))
+        for vector in (one, sums):
+            vector.destroy()
+        if rows > 1e-12 * scale:
+            return False
+        net = total(self.comm, -self.matrices.minus_load.array_r)
+        side = self.upper if net > 0 else self.lower
+        if net == 0 or side is None or not np.isfinite(largest(self.comm, -np.abs(side))):
+            raise InputError(
+                f"{NAME} A maps constants to 0, and the load, {net:.3g} in all, presses against no bound: give u "
+                "somewhere by `fixed` and `given`"
+            )
+        sign = 1.0 if net > 0 else -1.0
+        extreme = (largest if sign > 0 else smallest)(self.comm, side[np.isfinite(side)])
+        self.start = np.where(np.isfinite(side), side, extreme) + sign
+        self.borne, self.parts = np.array([True]), (1, np.zeros(self.owned, dtype=np.int64))
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class SystemSolution:
+    """The solution of `solve_system`; arrays hold owned rows.
+
+    Attributes:
+        u: The solution.
+        pressure: p, the contact force by weight; >= 0 at the lower bound, <= 0 at the upper one. Of the dimension of
+            f/weights.
+        contact: -1 at rows that press against the lower bound, 1 at the upper one, 0 elsewhere.
+        eps: The penalty parameter, in units of u/p; None with the method vi.
+        iterations: Newton steps on the finest level.
+        krylov: Linear iterations there.
+        levels: Number of unknowns of each level, the coarsest first.
+        history: One `Step` for each residual on the finest level.
+    """
+
+    u: np.ndarray
+    pressure: np.ndarray
+    contact: np.ndarray
+    eps: float | None
+    iterations: int
+    krylov: int
+    levels: tuple[int, ...]
+    history: tuple[Step, ...]
+
+
+def solve_system(
+    A: Any,
+    f: Any,
+    *,
+    lower: Any = None,
+    upper: Any = None,
+    weights: Any = None,
+    fixed: Any = None,
+    given: Any = 0.0,
+    points: Any = None,
+    method: str = "penalty",
+    eps: float | str = "auto",
+    comm: MPI.Comm = MPI.COMM_WORLD,
+) -> SystemSolution:
+    """Solve (A u - f) . (v - u) >= 0 for all v with lower <= v <= upper, lower <= u <= upper (collective).
+
+    With the method "penalty" this is A u - f + D chi (u - g)/eps = 0, (3.4), where D are the weights, chi is 1 at rows
+    beyond a bound g, and p = -(u - g)/eps there is the pressure. With "vi" it is the inequality itself. Newton's method
+    begins from the solution of coarser levels, if there are `points`; then its steps do not depend on the number of
+    unknowns.
+
+    Args:
+        A: Stiffness matrix, without boundary conditions: a PETSc matrix, or on one rank whatever
+            `scipy.sparse.csr_matrix` takes.
+        f: Load: a PETSc vector or an array of owned rows, in the unit of A u.
+        lower: Lower bound of u, a number or an array of owned rows; -inf where there is none.
+        upper: Upper bound.
+        weights: D > 0, the volume that belongs to a row, for example int phi_i; by default 1.
+        fixed: Rows, as flags of owned rows or their numbers, where u is `given`.
+        given: Values of u there, a number or an array of owned rows.
+        points: Coordinates of rows, shape (rows, 1 to 3), for coarse levels. They have to be those of the nodes of
+            linear elements, or of finite differences. By default there are no coarse levels.
+        method: "penalty", "successive" or "vi".
+        eps: Penalty parameter in units of u/p, or "auto": a hundredth of the median of D_i/A_ii, lowered if u
+            penetrates by more than 1 % of its range.
+        comm: Communicator of a matrix that is not PETSc's.
+
+    Returns:
+        The solution.
+
+    Raises:
+        InputError: If an argument is invalid.
+        NotConverged: With PETSc's reason.
+    """
+    system = _system(A, f, comm, lower=lower, upper=upper, weights=weights, fixed=fixed, given=given)
+    options = SolverOptions(method, "auto" if method == "vi" else eps, source=NAME)
+    way = method_of(system, options)
+    levels: list[System] = [system]
+    if points is not None and method != "successive" and system.symmetric:
+        levels = [*_coarser(system, _points(points, system.owned)), system]
+    if len(levels) > 1:
+        outcome = solve_nested(chain(levels), way.solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
+    else:
+        outcome = way.solve(system)
+    pressure = way.pressure(system)
+    return SystemSolution(
+        system.u, pressure, -np.sign(pressure).astype(np.int8), way.eps, outcome.iterations, outcome.krylov,
+        tuple(level.dofs for level in levels), outcome.history,
+    )  # fmt: skip
+
+
+def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
+    """Check the arguments (collective).
+
+    Raises:
+        InputError: Naming the argument.
+    """
+    A = _matrix(A, comm)
+    (own, rows), (_, columns) = A.getSizes()
+    if rows != columns:
+        raise InputError(f"{NAME} A: expected a square matrix, it has {rows} rows and {columns} columns")
+    f = _array(f.array_r if isinstance(f, PETSc.Vec) else f, own, "f")
+    bounds = {side: None if data[side] is None else _array(data[side], own, side, finite=False)
+              for side in ("lower", "upper")}  # fmt: skip
+    weights = np.ones(own) if data["weights"] is None else _array(data["weights"], own, "weights")
+    given = _array(data["given"], own, "given").copy()
+    fixed = np.zeros(own, dtype=bool)
+    if data["fixed"] is not None:
+        fixed[np.asarray(data["fixed"])] = True
+    given[~fixed] = 0.0
+    low = bounds["lower"] if bounds["lower"] is not None else np.full(own, -np.inf)
+    high = bounds["upper"] if bounds["upper"] is not None else np.full(own, np.inf)
+    comm = A.comm.tompi4py()
+    wrong = {
+        "weights: must be positive": weights <= 0,
+        "lower is above upper": low > high,
+        "given values are not between the bounds": fixed & ((given < low) | (given > high)),
+    }
+    for words, rows_ in wrong.items():
+        if (count := total(comm, np.count_nonzero(rows_))) > 0:
+            raise InputError(f"{NAME} {words} at {count:.0f} rows")
+    diagonal = A.getDiagonal()
+    bad = total(comm, np.count_nonzero(~(diagonal.array_r > 0) & ~fixed))
+    diagonal.destroy()
+    if bad:
+        raise InputError(f"{NAME} A: the diagonal is not positive at {bad:.0f} rows: A must be positive definite")
+    return MatrixSystem(A, f, weights=weights, fixed=fixed, given=given, **bounds)
+
+
+def _matrix(A: Any, comm: MPI.Comm) -> PETSc.Mat:
+    if isinstance(A, PETSc.Mat):
+        return A
+    from scipy.sparse import csr_matrix
+
+    if comm.size > 1:
+        raise InputError(f"{NAME} A: on several ranks expected a PETSc matrix, whose rows are distributed")
+    rows = csr_matrix(A)
+    rows.sort_indices()
+    csr = rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data.astype(float)
+    return PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=comm)
+
+
+def _array(values: Any, own: int, name: str, *, finite: bool = True) -> np.ndarray:
+    try:
+        found = np.array(np.broadcast_to(np.asarray(values, dtype=float), own))
+    except (TypeError, ValueError):
+        raise InputError(f"{NAME} {name}: expected a number, or an array of {own} numbers") from None
+    if np.isnan(found).any() or (finite and not np.isfinite(found).all()):
+        raise InputError(f"{NAME} {name}: holds values that are not {'finite' if finite else 'numbers'}")
+    return found
+
+
+def _points(points: Any, own: int) -> np.ndarray:
+    x = np.asarray(points, dtype=float)
+    if x.ndim != 2 or x.shape[0] != own or not 1 <= x.shape[1] <= 3:
+        raise InputError(f"{NAME} points: expected the shape ({own}, 1 to 3), got {x.shape}")
+    return x
+
+
+def _coarser(system: MatrixSystem, x: np.ndarray) -> list[System]:
+    """Algebraic levels; none for few unknowns, or without a compiler (collective)."""
+    if system.dofs < SMALLEST or (loops := kernels(system.comm)) is None:
+        return []
+    padded = np.zeros((system.owned, 3))
+    padded[:, : x.shape[1]] = x
+    kind = np.where(system.fixed, FIXED, FREE).astype(np.int8)
+    nodes = Nodes(padded, kind, first_keys(system.matrices.stiffness, padded), None, x.shape[1])
+    return algebraic_levels(system, nodes, loops)
