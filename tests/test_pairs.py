@@ -122,7 +122,7 @@ def test_voronoi_areas_are_consistent():
     for mesh in ({"diagonal": "crossed"}, {"diagonal": "union-jack"}, {"perturb": 0.1}):
         scene = Scene(mesh={**SQUARE, **mesh}, tension=1, upper=9).change({"solve.element": "P1-voronoi"})
         problem = SolverContext(scene).problem
-        x = releases.vec(problem.w).duplicate()
+        x = problem.vector()
         x.array[:] = (problem.level.points[:, : problem.level.owned] ** 2).sum(axis=0)
         out = x.duplicate()
         problem.matrices.stiffness.mult(x, out)
