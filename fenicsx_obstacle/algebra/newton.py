@@ -13,10 +13,9 @@ import numpy as np
 
 from fenicsx_obstacle.algebra import releases
 from fenicsx_obstacle.algebra.linear import user_has_set
-from fenicsx_obstacle.algebra.monotone_sets import Shrinking
 from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
-from fenicsx_obstacle.algebra.stopping import ACTIVE_SET_GREW, CYCLING, TOLERANCE, TOO_MANY, StepMonitor, Stopping
+from fenicsx_obstacle.algebra.stopping import CYCLING, TOLERANCE, TOO_MANY, StepMonitor, Stopping
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import largest
 
@@ -52,7 +51,7 @@ def solve_penalty(
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only decrease after the first step, and the iteration is
-    finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle, or on
+    finite. Should they repeat, a line search on the convex energy breaks the cycle, or on
     the norm of the residual where there is no energy. A residual that is not linear begins with the line search; where
     all that fails, because of a nonlinear operator and a small eps together, continuation in eps starts from the same
     state.
@@ -117,7 +116,7 @@ def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) 
     outcome = _attempts(problem, how, multigrid)
     for _ in range(MAX_REFERENCE_UPDATES):
         # sets also repeat if the reference r of w is not the obstacle in contact
-        final = outcome.reason == ACTIVE_SET_GREW or (outcome.reason == TOO_MANY and is_limited(problem, "penalty"))
+        final = outcome.reason == TOO_MANY and is_limited(problem, "penalty")
         if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
@@ -163,7 +162,7 @@ def _attempts(problem: System, how: dict[str, Any], multigrid: Multigrid | None)
     searches = ("basic", "bt", "basic") if problem.affine else ("bt", "basic")
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
-        if outcome.converged or outcome.reason == ACTIVE_SET_GREW or is_limited(problem, "penalty"):
+        if outcome.converged or is_limited(problem, "penalty"):
             break
         if outcome.reason == TOO_MANY and "patience" in how and (problem.affine or search == "basic"):
             break  # far from a solution: full steps would diverge
@@ -175,9 +174,7 @@ def _attempt(
     problem: System, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
 ) -> Outcome:
     full = search == "basic" and not objective
-    must_shrink = full and how["unchanged"] and problem.active_sets_shrink
-    shrinking = Shrinking(problem) if must_shrink else None
-    stopping = Stopping(problem, watch_cycles=full, shrinking=shrinking, **how)
+    stopping = Stopping(problem, watch_cycles=full, **how)
     options = {**NEWTON, "snes_linesearch_type": search}
     objective |= search == "bt" and problem.has_energy
     return run(problem, "penalty", options, stopping, objective=objective, multigrid=multigrid)

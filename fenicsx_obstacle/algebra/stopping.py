@@ -24,7 +24,6 @@ from fenicsx_obstacle.algebra.data_scales import (
     negligible_force,
     stiffness_of,
 )
-from fenicsx_obstacle.algebra.monotone_sets import Shrinking
 from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.parallel import total
 
@@ -36,7 +35,6 @@ NEGLIGIBLE_FORCE = data_scales.NEGLIGIBLE_FORCE
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
-ACTIVE_SET_GREW = PETSc.SNES.ConvergedReason.DIVERGED_INNER  # nor 'they grew'
 MEANINGLESS = PETSc.SNES.ConvergedReason.DIVERGED_DTOL  # nor 'balanced, but not determined by the data'
 TOO_MANY = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
 CONTINUE = PETSc.SNES.ConvergedReason.ITERATING
@@ -78,7 +76,6 @@ class Stopping:
         tolerance: Unbalanced force over acting forces.
         patience: Steps after which to give up.
         touching: Gap up to which a node touches a bound (SNES VI only).
-        shrinking: Checks that active sets shrink, where they must.
         monitor: Called after each step.
         roundoff_limited: Balance was only reached up to the round-off of w.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
@@ -95,7 +92,6 @@ class Stopping:
     tolerance: float = TOLERANCE
     patience: int = 10**9
     touching: float = 0.0
-    shrinking: Shrinking | None = None
     monitor: StepMonitor | None = None
     roundoff_limited: bool = False
     exact: bool = False
@@ -129,8 +125,6 @@ class Stopping:
         self.before, self._krylov = active, krylov
         if not np.isfinite(unbalanced):  # on all ranks, being a sum over them
             return releases.NOT_A_NUMBER
-        if self.shrinking is not None and self.shrinking.broken(snes.ksp, active != 0, elastic):
-            return ACTIVE_SET_GREW
         # balance in this scale holds only with the correct active set; nodes that still change then
         # carry no force (contact without pressure)
         left = ROUNDOFF_MARGIN * self.round_off()
@@ -231,6 +225,5 @@ def in_words(reason: int) -> str:
         "not supported, "
         "or the equation is nearly singular",
         CYCLING: "the active sets repeat",
-        ACTIVE_SET_GREW: "an active set grew on an M-matrix, which shows an error in this program or its libraries",
     }
     return f"{words.get(reason, 'the nonlinear solver stopped')} ({names.get(reason, reason)})"

@@ -429,11 +429,6 @@ class System:
         return is_m_matrix(self.A, self.matrices.diagonal, self.comm)
 
     @property
-    def active_sets_shrink(self) -> bool:
-        """Whether active sets of (3.4)* must shrink after its first step: one obstacle, on an M-matrix."""
-        return (self.below is None) != (self.above is None) and self.m_matrix
-
-    @property
     def loose_without_contact(self) -> bool:
         """Whether the first active set of SNES VI has to be that of a penalty solve."""
         return False
