@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import NotConverged, solve
+from fenicsx_obstacle import solve
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.newton import solve_penalty
 from fenicsx_obstacle.answers.solver_context import SolverContext

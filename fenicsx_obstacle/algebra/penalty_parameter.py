@@ -60,7 +60,7 @@ def penalty_parameter(problem: System, options: SolverOptions) -> float:
         return max(eps, floor)
     if eps < floor:
         raise InputError(
-            f"{place}: below the limit of round-off, {floor:.2g} on this mesh, at which contact "
+            f"{place}: below the limit of round-off, {floor:.2g}, at which contact "
             "changes u by less than its last digit; take a larger eps, or the method vi"
         )
     return eps
@@ -75,6 +75,8 @@ def _share_of_compliance(problem: System) -> float:
     diagonal = diagonal_of(problem)
     good = (diagonal > 0) & (problem.weights > 0) & ~problem.fixed
     everywhere = np.concatenate(problem.comm.allgather(problem.weights[good] / diagonal[good]))
+    if total(problem.comm, np.count_nonzero(problem.touchable)) == 0:
+        return 1.0  # u is given at all points of I: whatever eps, nothing touches
     if not len(everywhere):
         raise NoPositiveDiagonal
     return problem.eps_share * float(np.median(everywhere))

@@ -20,7 +20,8 @@ from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.algebra.system import State, System
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import agree, largest, smallest, total
+from fenicsx_obstacle.text import counted
 
 SYMMETRIC = 1e-12  # of the largest entry: a difference of A and its transpose that is round-off
 NAME = "solve_system:"
@@ -169,7 +170,9 @@ def solve_system(
     way = method_of(system, options)
     levels: list[System] = [system]
     if points is not None and method != "successive" and system.symmetric:
-        levels = [*_coarser(system, _points(points, system.owned)), system]
+        with agree(system.comm):
+            x = _points(points, system.owned)
+        levels = [*_coarser(system, x), system]
     if len(levels) > 1:
         outcome = solve_nested(chain(levels), way.solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
     else:
@@ -188,34 +191,33 @@ def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
         InputError: Naming the argument.
     """
     A = _matrix(A, comm)
+    comm = A.comm.tompi4py()
     (own, rows), (_, columns) = A.getSizes()
     if rows != columns:
         raise InputError(f"{NAME} A: expected a square matrix, it has {rows} rows and {columns} columns")
-    f = _array(f.array_r if isinstance(f, PETSc.Vec) else f, own, "f")
-    bounds = {side: None if data[side] is None else _array(data[side], own, side, finite=False)
-              for side in ("lower", "upper")}  # fmt: skip
-    weights = np.ones(own) if data["weights"] is None else _array(data["weights"], own, "weights")
-    given = _array(data["given"], own, "given").copy()
     fixed = np.zeros(own, dtype=bool)
-    if data["fixed"] is not None:
-        fixed[np.asarray(data["fixed"])] = True
-    given[~fixed] = 0.0
-    low = bounds["lower"] if bounds["lower"] is not None else np.full(own, -np.inf)
-    high = bounds["upper"] if bounds["upper"] is not None else np.full(own, np.inf)
-    comm = A.comm.tompi4py()
+    with agree(comm):
+        f = _array(f.array_r if isinstance(f, PETSc.Vec) else f, own, "f")
+        low = _array(-np.inf if data["lower"] is None else data["lower"], own, "lower", finite=False)
+        high = _array(np.inf if data["upper"] is None else data["upper"], own, "upper", finite=False)
+        weights = _array(1.0 if data["weights"] is None else data["weights"], own, "weights")
+        given = _array(data["given"], own, "given")
+        if data["fixed"] is not None:
+            fixed[_rows(data["fixed"], own)] = True
+        given[~fixed] = 0.0
+    diagonal = A.getDiagonal()
     wrong = {
         "weights: must be positive": weights <= 0,
         "lower is above upper": low > high,
         "given values are not between the bounds": fixed & ((given < low) | (given > high)),
+        "A: must be positive definite, but the diagonal is not positive": ~(diagonal.array_r > 0) & ~fixed,
     }
-    for words, rows_ in wrong.items():
-        if (count := total(comm, np.count_nonzero(rows_))) > 0:
-            raise InputError(f"{NAME} {words} at {count:.0f} rows")
-    diagonal = A.getDiagonal()
-    bad = total(comm, np.count_nonzero(~(diagonal.array_r > 0) & ~fixed))
     diagonal.destroy()
-    if bad:
-        raise InputError(f"{NAME} A: the diagonal is not positive at {bad:.0f} rows: A must be positive definite")
+    for words, where in wrong.items():
+        if (count := total(comm, np.count_nonzero(where))) > 0:
+            raise InputError(f"{NAME} {words} at {counted(int(count), 'row')}")
+    bounds = {side: bound if total(comm, np.isfinite(bound)) > 0 else None
+              for side, bound in (("lower", low), ("upper", high))}  # fmt: skip
     return MatrixSystem(A, f, weights=weights, fixed=fixed, given=given, **bounds)
 
 
@@ -242,10 +244,19 @@ def _array(values: Any, own: int, name: str, *, finite: bool = True) -> np.ndarr
     return found
 
 
+def _rows(rows: Any, own: int) -> np.ndarray:
+    found = np.asarray(rows)
+    flags = found.dtype == bool and found.shape == (own,)
+    numbers = found.dtype.kind in "iu" and found.ndim == 1 and np.all((found >= 0) & (found < own))
+    if not (flags or numbers or found.size == 0):
+        raise InputError(f"{NAME} fixed: expected {own} flags, or numbers of owned rows from 0 to {own - 1}")
+    return found if found.size else np.empty(0, dtype=int)
+
+
 def _points(points: Any, own: int) -> np.ndarray:
     x = np.asarray(points, dtype=float)
-    if x.ndim != 2 or x.shape[0] != own or not 1 <= x.shape[1] <= 3:
-        raise InputError(f"{NAME} points: expected the shape ({own}, 1 to 3), got {x.shape}")
+    if x.ndim != 2 or x.shape[0] != own or not 1 <= x.shape[1] <= 3 or not np.isfinite(x).all():
+        raise InputError(f"{NAME} points: expected finite coordinates of the shape ({own}, 1 to 3), got {x.shape}")
     return x
 
 

@@ -1,0 +1,215 @@
+"""Obstacle problems given as matrices, with truths of dense linear algebra."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import scipy.sparse
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.optimize import lsq_linear
+
+from fenicsx_obstacle import InputError, solve_system
+from tests.conftest import CLEAN, COMM
+
+MANY = {1: 1000, 2: 40}.get(COMM.size, 20)  # ranks wait for each other
+WITHOUT_DOLFINX = """
+import sys
+sys.modules["dolfinx"] = sys.modules["ufl"] = None
+import numpy as np
+from fenicsx_obstacle import solve_system
+A = 3 * np.eye(4) - np.eye(4, k=1) - np.eye(4, k=-1)
+found = solve_system(A, np.ones(4), upper=0.4, method="vi")
+assert np.allclose(A @ found.u + found.pressure * -1, 1), found
+"""
+
+
+def owned(n):
+    """The first and the last owned row of n; ranks may own none."""
+    share = PETSc.Vec().createMPI(n, comm=COMM)
+    rows = share.getOwnershipRange()
+    share.destroy()
+    return rows
+
+
+def distributed(A):
+    """A matrix of NumPy or SciPy as one of PETSc whose rows are distributed (collective)."""
+    first, last = owned(A.shape[0])
+    rows = scipy.sparse.csr_matrix(A)[first:last]
+    csr = rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data
+    return PETSc.Mat().createAIJ(2 * ((last - first, A.shape[0]),), csr=csr, comm=COMM)
+
+
+def gathered(values):
+    return np.concatenate(COMM.allgather(values))
+
+
+def m_matrix(random, n, singular=False):
+    """A random symmetric M-matrix: a graph's Laplacian with conductances over six decades, and supports."""
+    graph = np.zeros((n, n))
+    for i in range(1, n):
+        graph[i, random.integers(i)] = 10 ** random.uniform(-3, 3)  # connected
+    more = random.random((n, n)) < 2 / n
+    graph += np.triu(more * 10 ** random.uniform(-3, 3, (n, n)), 1)
+    graph += graph.T
+    support = np.zeros(n) if singular else (random.random(n) < 0.3) * random.random(n) * graph.max()
+    support[0] += 0 if singular else graph.max()
+    return np.diag(graph.sum(axis=1) + support) - graph
+
+
+def truth(A, f, lower, upper, given):
+    """The minimiser between the bounds, by an active-set method of SciPy for bounded least squares.
+
+    `given` are values of u, not-a-number where it is free.
+    """
+    u = np.where(lower == upper, lower, given)
+    free = np.isnan(u)
+    if free.any():
+        rest = f[free] - A[np.ix_(free, ~free)] @ u[~free]
+        L = np.linalg.cholesky(A[np.ix_(free, free)])
+        u[free] = lsq_linear(L.T, np.linalg.solve(L, rest), (lower[free], upper[free]), method="bvls", tol=1e-15).x
+    return u
+
+
+@st.composite
+def problems(draw):
+    """M-matrices with bounds of one or both sides, nodes whose bounds meet, and given values."""
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    n = draw(st.integers(2, 25))
+    A = m_matrix(random, n)
+    f = random.normal(size=n) * np.diag(A).mean()
+    width = 10.0 ** draw(st.integers(-3, 1))
+    lower, upper = -width * random.random(n), width * random.random(n)
+    sides = draw(st.sampled_from(["both", "lower", "upper", "none", "equal somewhere"]))
+    lower = np.full(n, -np.inf) if sides in ("upper", "none") else lower
+    upper = np.full(n, np.inf) if sides in ("lower", "none") else upper
+    if sides == "equal somewhere":
+        upper[::3] = lower[::3] = 0.0
+    fixed = random.random(n) < draw(st.sampled_from([0, 0.2]))
+    return A, f, lower, upper, fixed, 10 ** random.uniform(-2, 2, n)
+
+
+def check(found, A, f, lower, upper, fixed, weights, eps):
+    """Equilibrium, signs of the pressure, and distance from the truth."""
+    u, p = gathered(found.u), gathered(found.pressure)
+    free, size = ~fixed, np.abs(f).sum() + np.abs(A).max()
+    assert np.abs(A @ u - f - weights * p)[free].sum() <= 1e-8 * size
+    exact = truth(A, f, lower, upper, np.where(fixed, u, np.nan))
+    # 0 <= |u_eps - u| <= eps max |p| on an M-matrix
+    off = (0.0 if eps is None else eps * np.abs(p).max()) + 1e-7 * max(np.ptp(exact), np.abs(exact).max(), 1e-300)
+    assert np.abs(u - exact).max() <= off
+    held = np.where(p > 0, u - lower, np.where(p < 0, upper - u, 0.0))
+    assert np.all(held <= off) and np.array_equal(np.sign(p), -gathered(found.contact))
+
+
+def solved(A, f, lower, upper, fixed, weights, **how):
+    """`solve_system` on this rank's rows."""
+    first, last = owned(len(f))
+    mine = slice(first, last)
+    return solve_system(distributed(A), f[mine], lower=lower[mine], upper=upper[mine], fixed=fixed[mine],
+                        weights=weights[mine], **how)  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::fenicsx_obstacle.PenetrationWarning")
+@settings(max_examples=MANY, deadline=None, derandomize=True, database=None)
+@given(problems(), st.sampled_from(["vi", 1e-3, 1e-8]))
+def test_random_matrices(problem, how):
+    """vi is the truth; the penalty is eps max |p| off, at most."""
+    A, weights = problem[0], problem[5]
+    if how == "vi":
+        check(solved(*problem, method="vi"), *problem, None)
+    else:
+        compliance = weights / np.diag(A)
+        eps = max(how * float(np.min(compliance)), 1e-14 * float(np.max(compliance)))
+        check(solved(*problem, eps=eps), *problem, eps)
+
+
+@settings(max_examples=MANY // 2, deadline=None, derandomize=True, database=None)
+@given(problems())
+def test_auto(problem):
+    """eps = "auto" penetrates by 1 % of the range of u, at most, and says which eps it took."""
+    found = solved(*problem)
+    check(found, *problem, found.eps)
+    lower, upper, fixed = problem[2:5]
+    u = gathered(found.u)
+    beyond = np.maximum(np.maximum(lower - u, u - upper), 0)[~fixed].max(initial=0)
+    height = np.ptp(np.clip(u, lower, upper))  # 0 where bounds hold all of u at one value: no scale
+    assert beyond <= 0.01 * height + 1e-12 * np.abs(u).max() or height < 1e-8 * beyond
+
+
+@settings(max_examples=MANY // 2, deadline=None, derandomize=True, database=None)
+@given(st.integers(0, 2**32), st.integers(2, 20), st.sampled_from(["vi", "penalty"]))
+def test_contact_alone(seed, n, method):
+    """A maps constants to 0: the load presses against bounds, which alone hold u."""
+    random = np.random.default_rng(seed)
+    A, upper = m_matrix(random, n, singular=True), random.random(n)
+    f = np.diag(A).mean() * (0.2 + random.random(n))
+    weights, none, nowhere = np.ones(n) / np.diag(A).max(), np.full(n, -np.inf), np.zeros(n, dtype=bool)
+    found = solved(A, f, none, upper, nowhere, weights, method=method)
+    u, p = gathered(found.u), gathered(found.pressure)
+    assert np.abs(A @ u - f - weights * p).sum() <= 1e-6 * f.sum()
+    assert np.all(p <= 0) and -weights @ p == pytest.approx(f.sum(), rel=1e-6)
+    assert np.all(u <= upper + (0 if found.eps is None else found.eps * np.abs(p).max()) + 1e-9)
+
+
+def laplacian(n):
+    """Five points on a square of n x n cells: A, coordinates, rows on the edge."""
+    line, one = scipy.sparse.diags([-1, 2, -1], [-1, 0, 1], shape=(n + 1, n + 1)), scipy.sparse.identity(n + 1)
+    A = scipy.sparse.kron(line, one) + scipy.sparse.kron(one, line)
+    x = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, n + 1)], indexing="ij"), axis=-1).reshape(-1, 2)
+    return A, x, np.any((x == 0) | (x == 1), axis=1)
+
+
+@pytest.mark.parametrize("how", [{}, {"eps": 1e-8}, {"method": "vi"}])
+def test_steps_do_not_depend_on_the_size(how):
+    """With coordinates coarse levels give the start."""
+    steps = []
+    for n in (40, 80, 160):
+        A, x, edge = laplacian(n)
+        mine = slice(*owned(len(x)))
+        found = solve_system(distributed(A), -8.0 / n**2, lower=-0.3, fixed=edge[mine], weights=1.0 / n**2,
+                             points=x[mine], **how)  # fmt: skip
+        assert len(found.levels) > 1
+        steps.append(found.iterations)
+    assert max(steps) <= 4
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"lower": 1.0, "upper": 0.0}, "lower is above upper at 3 rows"),
+        ({"weights": [1.0, 0.0, 1.0]}, "weights: must be positive at 1 row"),
+        ({"f": [1.0, np.nan, 1.0]}, "f: holds values that are not finite"),
+        ({"f": [1.0, 2.0]}, "f: expected a number, or an array of 3 numbers"),
+        ({"fixed": [3], "given": 2.0}, "fixed: expected 3 flags, or numbers of owned rows from 0 to 2"),
+        ({"fixed": [0], "given": 2.0, "upper": 1.0}, "given values are not between the bounds at 1 row"),
+        ({"A": -np.eye(3)}, "A: must be positive definite, but the diagonal is not positive at 3 rows"),
+        ({"A": np.ones((3, 2))}, "A: expected a square matrix, it has 3 rows and 2 columns"),
+        ({"A": 3 * np.eye(3) - np.ones((3, 3))}, "presses against no bound"),
+        ({"points": np.zeros((3, 4))}, "points: expected finite coordinates of the shape"),
+        ({"method": "newton"}, "method = 'newton'"),
+        ({"eps": -1.0}, "eps = -1"),
+    ],
+)
+def test_wrong_arguments(given, words):
+    arguments = {"A": 2 * np.eye(3), "f": 1.0, **given}
+    with pytest.raises(InputError, match=words):
+        solve_system(arguments.pop("A"), arguments.pop("f"), comm=MPI.COMM_SELF, **arguments)
+
+
+def test_an_error_on_one_rank_is_one_on_all():
+    A = distributed(3 * np.eye(9))
+    first, last = owned(9)
+    f = np.where(np.arange(first, last) == 0, np.nan, 1.0)
+    with pytest.raises(InputError, match="f: holds values"):
+        solve_system(A, f)
+
+
+@pytest.mark.serial
+def test_without_dolfinx(folder):
+    """petsc4py, mpi4py and NumPy are enough."""
+    done = subprocess.run([sys.executable, "-c", WITHOUT_DOLFINX], env=CLEAN, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
