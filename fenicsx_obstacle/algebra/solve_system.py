@@ -57,7 +57,11 @@ class MatrixSystem(System):
         self.comm, self.lower, self.upper, self.fixed, self.given = A.comm.tompi4py(), lower, upper, fixed, given
         self.symmetric = self.has_energy = bool(A.isSymmetric(SYMMETRIC * max(A.norm(PETSc.NormType.INFINITY), 1e-300)))
         minus_load, w_vector, r_vector = A.createVecLeft(), A.createVecRight(), A.createVecRight()
-        minus_load.array[:] = -f
+        w_vector.set(1.0)
+        A.mult(w_vector, minus_load)
+        # reactions are sums of A_ij (u_j - u_i): what A and f have in rows of boundary conditions is no scale of force
+        minus_load.array[:] = np.where(fixed, -minus_load.array_r * given, -f)
+        w_vector.set(0.0)
         state = State(w_vector, r_vector, lower=lower is not None, upper=upper is not None)
         self._set_law(Affine(self.comm, state, A, minus_load, weights, np.flatnonzero(fixed)))
         self.load = total(self.comm, np.abs(f[~fixed]))
@@ -145,7 +149,7 @@ def solve_system(
     Args:
         A: Stiffness matrix, without boundary conditions: a PETSc matrix, or on one rank whatever
             `scipy.sparse.csr_matrix` takes.
-        f: Load: a PETSc vector or an array of owned rows, in the unit of A u.
+        f: Load: a PETSc vector or an array of owned rows, in the unit of A u. At fixed rows it is not used.
         lower: Lower bound of u, a number or an array of owned rows; -inf where there is none.
         upper: Upper bound.
         weights: D > 0, the volume that belongs to a row, for example int phi_i; by default 1.

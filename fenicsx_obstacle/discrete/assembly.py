@@ -34,31 +34,44 @@ ROUND_OFF = 1e-12  # of the sum of the forces
 class FunctionState(State):
     """A state whose arrays are the owned values of Functions, for forms (all methods collective)."""
 
-    def __init__(self, forms: Forms):
-        """Refer to the Functions and the Constant of forms."""
-        self._forms, own = forms, forms.data.level.owned
-        self.w_vector, self.r_vector = releases.vec(forms.w), releases.vec(forms.reference)
-        self.w, self.r = forms.w.x.array[:own], forms.reference.x.array[:own]
-        self.below, self.above = (None if gap is None else gap.x.array[:own] for gap in (forms.below, forms.above))
-        if forms.multiplier is not None:
-            self.multiplier = forms.multiplier.x.array[: forms.multiplier.function_space.dofmap.index_map.size_local]
+    def __init__(
+        self,
+        w: fem.Function,
+        r: fem.Function,
+        below: fem.Function | None,
+        above: fem.Function | None,
+        multiplier: fem.Function | None,
+        eps: fem.Constant,
+    ):
+        """Refer to Functions and a Constant, as in `Forms`."""
+        self._w, self._constant = w, eps
+        self._shared = [function for function in (w, r, below, above, multiplier) if function is not None]
+        self.w_vector, self.r_vector = releases.vec(w), releases.vec(r)
+        self.w, self.r = _owned(w), _owned(r)
+        self.below, self.above, self.multiplier = (
+            None if function is None else _owned(function) for function in (below, above, multiplier)
+        )
 
     @property
     def eps(self) -> float:
-        return float(self._forms.eps.value)
+        return float(self._constant.value)
 
     @eps.setter
     def eps(self, value: float) -> None:
-        self._forms.eps.value = value
+        self._constant.value = value
 
     def share(self) -> None:
-        self._forms.w.x.scatter_forward()
+        self._w.x.scatter_forward()
 
     def share_all(self) -> None:
-        forms = self._forms
-        for function in (forms.w, forms.reference, forms.below, forms.above, forms.multiplier):
-            if function is not None:
-                function.x.scatter_forward()
+        for function in self._shared:
+            function.x.scatter_forward()
+
+
+def _owned(function: fem.Function) -> np.ndarray:
+    """The values at owned dofs, in place."""
+    dofmap = function.function_space.dofmap
+    return function.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
 
 
 class Forms:
@@ -90,7 +103,7 @@ class Forms:
         self.thickness = 1.0
         self._set_contact_measure()
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
-        self.state: State = FunctionState(self)
+        self.state: State = FunctionState(self.w, self.reference, self.below, self.above, self.multiplier, self.eps)
         vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
