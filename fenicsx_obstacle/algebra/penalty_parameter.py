@@ -75,8 +75,6 @@ def _share_of_compliance(problem: System) -> float:
     diagonal = diagonal_of(problem)
     good = (diagonal > 0) & (problem.weights > 0) & ~problem.fixed
     everywhere = np.concatenate(problem.comm.allgather(problem.weights[good] / diagonal[good]))
-    if total(problem.comm, np.count_nonzero(problem.touchable)) == 0:
-        return 1.0  # u is given at all points of I: whatever eps, nothing touches
     if not len(everywhere):
         raise NoPositiveDiagonal
     return problem.eps_share * float(np.median(everywhere))

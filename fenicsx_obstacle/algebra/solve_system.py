@@ -171,7 +171,8 @@ def solve_system(
     """
     system = _system(A, f, comm, lower=lower, upper=upper, weights=weights, fixed=fixed, given=given)
     options = SolverOptions(method, "auto" if method == "vi" else eps, source=NAME)
-    way = method_of(system, options)
+    touchable = total(system.comm, np.count_nonzero(system.touchable)) > 0
+    way = method_of(system, options, known=None if touchable else 1.0)  # if u is given everywhere, any eps
     levels: list[System] = [system]
     if points is not None and method != "successive" and system.symmetric:
         with agree(system.comm):
