@@ -25,6 +25,7 @@ from fenicsx_obstacle import (
     solve,
     study,
 )
+from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.explain import explain
 from tests.conftest import CLEAN, COMM, DEMOS, slow_except
@@ -275,6 +276,42 @@ def test_equilibria_in_time(folder):
     assert len(answer.time_history.frames) == 5 and "4 steps to t = 2, equilibria" in answer.summary()
     rows = list(csv.DictReader((folder / "history.csv").open()))
     assert len(rows) == 5 and np.isclose(float(rows[-1]["approach"]), 0.04)
+
+
+@pytest.mark.parametrize(
+    ("element", "steps", "frames", "kept"), [("P2", 8, 3, [0, 0.75, 1, 1.25, 2]), ("P1", 4, 0, [1])]
+)
+def test_pictures_show_the_largest_load(element, steps, frames, kept, folder):
+    """A plane presses the body, most at t = 1, and leaves it at t = 2. The fields of t = 1 are saved, whatever else
+    is; pictures and profiles show them, also of the folder, on any number of ranks: p = E d/(1 + eps E)."""
+    law, eps, most = {"young": 2, "poisson": 0, "plane": "strain"}, 1e-6, 0.02 / (1 / 2 + 1e-6)
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.02*t*(2 - t)"}
+    line = {"from": [0.5, 0.2], "to": [0.5, 1], "n": 3}
+    scene = block(3, [*ROLLERS, {"on": "top", "obstacle": stamp}], law, profile={"up": line}, title="Pressed",
+                  time={"end": 2, "steps": steps, "frames": frames})  # fmt: skip
+    answer = solve(scene, eps=eps, element=element)
+    answer.save(folder)
+    assert np.allclose(answer.nodes.pressure, 0, atol=1e-12) and answer.record["time"]["largest"] == 1
+    for one in (answer, Answer.read(folder)):
+        shown = one.shown
+        assert np.allclose([frame.t for frame in one.time_history.frames], kept)
+        assert shown.title == "Pressed, t = 1" and one.title == "Pressed"
+        assert np.allclose(shown.nodes.pressure, most, rtol=1e-6) and len(shown.nodes.points) == len(one.nodes.points)
+        assert np.allclose(shown.nodes.gap, -eps * most, rtol=1e-5)
+        assert np.allclose(shown.at([0.3, 0.6]), [0, -0.6 * most / 2], rtol=1e-6, atol=1e-8)
+        assert np.allclose(shown.at([[0.3, 0.6], [0.9, 0.2]], "von_mises"), most, rtol=1e-6)
+        assert np.allclose(profiles_of(one)["up"].u[:, 1], -most / 2 * np.array([0.2, 0.6, 1]), rtol=1e-6)
+        page = one.plot().page
+        assert COMM.rank > 0 or page._suptitle.get_text() == "Pressed, t = 1"
+
+
+def test_the_last_moment_is_shown_as_it_is():
+    """Where the load grows, or stays, pictures show the solution at the end with its element and its precision."""
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.02*min(t, 1)"}
+    scene = block(3, [*ROLLERS, {"on": "top", "obstacle": stamp}], time={"end": 2, "steps": 4, "frames": 0})
+    answer = solve(scene, element="P2")
+    assert answer.record["time"]["largest"] == 2 and not answer.time_history.frames
+    assert answer.shown.u is answer.u and answer.shown.title.endswith(", t = 2")
 
 
 @pytest.mark.slow
