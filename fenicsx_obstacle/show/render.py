@@ -171,9 +171,9 @@ def _add(plotter: Any, grid: Any, view: View) -> None:
     opacity = CLEAR if view.kind == "graph" else 1.0
     _paint(plotter, apart, smooth_shading=smooth, **({"color": FREE, "opacity": opacity} if pressed else scale))
     if pressed and view.kind == "body":
-        facets = grid.extract_cells(grid.celltypes != grid.celltypes[0])
+        facets = _within(grid.extract_cells(grid.celltypes != grid.celltypes[0]), view)
         facets.points += ABOVE_BODY * axes_of_view(view.eye)[2]
-        _paint(plotter, _within(facets, view), **scale)
+        _paint(plotter, facets, **scale)
     edges = shell.extract_surface().extract_feature_edges(
         boundary_edges=True, feature_edges=view.kind == "body", manifold_edges=False, non_manifold_edges=False
     )
