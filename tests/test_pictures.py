@@ -378,6 +378,22 @@ def test_contact_at_given_values_has_the_pressure_beside_it():
 
 
 @pytest.mark.serial
+@pytest.mark.parametrize(
+    ("mesh", "element"),
+    [({"shape": "rectangle", "diagonal": "left"}, "P1"), ({"shape": "rectangle"}, "P2"), ({"shape": "box"}, "P1")],
+)
+def test_corners_in_contact_have_the_pressure_beside_them(mesh, element):
+    """Where all of u is given at the obstacle, or pressed on it, no corner and no edge is drawn without pressure, and
+    there is no free boundary; a part of the boundary beside u out of contact stays without pressure."""
+    patch = on_rank_0(solve(membrane(mesh={**mesh, "cells": 4}, load=-3, lower=0), element=element))
+    assert patch.fields["pressure"].min() > 1 and not free_boundary(patch)
+    scene = membrane(mesh={**mesh, "cells": 8}, load="where(x < 0.3, -30, 3)", lower=0)
+    patch = on_rank_0(solve(scene, element=element))
+    x, p = patch.points[:, 0], patch.fields["pressure"]
+    assert p[x == 0].min() > 1 and np.all(p[x > 0.5] == 0)
+
+
+@pytest.mark.serial
 @pytest.mark.parametrize(("dim", "lower", "filled"), [(1, 0, True), (1, -0.05, False), (2, 0, True), (2, -0.05, False)])
 def test_the_label_says_where_pressures_are_of_neighbours(dim, lower, filled):
     """Only a picture whose pressure at given values is that of neighbours says so."""

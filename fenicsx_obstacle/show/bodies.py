@@ -138,13 +138,14 @@ def _in_space(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequenc
     given, kind = {}, "surface"
     if cells.shape[1] == 4:
         low, high = np.maximum(low, moved.min(axis=0)), np.minimum(high, moved.max(axis=0))
-        patch.fields["pressure"] = np.where(np.isnan(arrays["gap"]), np.nan, arrays["pressure"])
+        apart = np.isnan(arrays["gap"])
+        patch.fields.update(pressure=np.where(apart, np.nan, arrays["pressure"]), contact=~apart)
         given, kind = {"facets": contact_facets(arrays, nodes), "box": (low, high)}, "body"
     eye = eye_of(nodes, sides)
     who = draw_views(page, list(page.add_gridspec(1, 2)), patch, scales, kind, "z", eye=eye, **given)
     labels = (label, "contact pressure p, computed at nodes, linear between")
     for axis, scale, text in zip(page.axes, scales.values(), labels, strict=True):
-        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(text, 42), fontsize=8.5)
+        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.16).set_label(fill(text, 42), fontsize=8.5)
         axis.set_title(_scaled(whole or kind == "surface", factor), fontsize=9)
     if kind == "body":
         legend_below(page, {"no obstacle faces it": {"facecolor": FREE, "edgecolor": "0.2", "linewidth": 0.5}}, "")
