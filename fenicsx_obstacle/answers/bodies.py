@@ -177,7 +177,7 @@ class BodyContext:
         """
         rows, frames, name = list[dict[str, Any]](), list[Frame](), one_line(moments.name)
         kept = {round(k * moments.steps / max(moments.frames, 1)) for k in range(moments.frames + 1)}
-        most, largest, loaded = 0, 0.0, None
+        most, largest, loaded = 0.0, 0.0, None
         for step in range(moments.steps + 1):
             t = moments.end * step / moments.steps
             try:
@@ -199,9 +199,9 @@ class BodyContext:
             if moments.frames and step in kept:
                 frames.append(Frame(t, fields_of(solution)))
             force = float(np.abs(solution.nodes.pressure) @ solution.nodes.areas)
-            if loaded is None or force >= (1 - SAME_FORCE) * largest:
+            if force >= (1 - SAME_FORCE) * largest:
                 most, largest, loaded = t, force, solution
-        if loaded is not solution and all(frame.t != most for frame in frames):
+        if loaded is not None and loaded is not solution and all(frame.t != most for frame in frames):
             frames = sorted([*frames, Frame(most, fields_of(loaded))], key=lambda frame: frame.t)
         times = {"t": t, "name": moments.name, "scheme": moments.scheme, "steps": moments.steps, "rejected": 0,
                  "largest": most}  # fmt: skip

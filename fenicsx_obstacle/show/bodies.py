@@ -135,7 +135,7 @@ def _in_space(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequenc
     moved, page = points + factor * u, blank(10.4, 4.5)
     patch = Patch(moved, cells, {"stress": values, "pressure": arrays["pressure"], "contact": arrays["contact"]})
     scales = {"stress": colours, "pressure": pressures(nodes.pressure)}
-    given, kind = {}, "surface"
+    given, kind = dict[str, Any](), "surface"
     if cells.shape[1] == 4:
         low, high = np.maximum(low, moved.min(axis=0)), np.minimum(high, moved.max(axis=0))
         apart = np.isnan(arrays["gap"])
