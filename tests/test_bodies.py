@@ -31,6 +31,7 @@ from fenicsx_obstacle.problems.vector_valued import ContactTable
 from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
+from fenicsx_obstacle.show.page import _figures
 from fenicsx_obstacle.show.render import EYE, axes_of_view
 from tests.conftest import CLEAN, COMM, DEMOS, slow_except
 
@@ -282,9 +283,7 @@ def test_equilibria_in_time(folder):
     assert len(rows) == 5 and np.isclose(float(rows[-1]["approach"]), 0.04)
 
 
-@pytest.mark.parametrize(
-    ("element", "steps", "frames", "kept"), [("P2", 8, 3, [0, 0.75, 1, 1.25, 2]), ("P1", 4, 0, [1])]
-)
+@pytest.mark.parametrize(("element", "steps", "frames", "kept"), [("P2", 4, 1, [0, 1, 2]), ("P1", 4, 0, [1])])
 def test_pictures_show_the_largest_load(element, steps, frames, kept, folder):
     """A plane presses the body, most at t = 1, and leaves it at t = 2. The fields of t = 1 are saved, whatever else
     is; pictures and profiles show them, also of the folder, on any number of ranks: p = E d/(1 + eps E)."""
@@ -296,6 +295,7 @@ def test_pictures_show_the_largest_load(element, steps, frames, kept, folder):
     answer = solve(scene, eps=eps, element=element)
     answer.save(folder)
     assert np.allclose(answer.nodes.pressure, 0, atol=1e-12) and answer.record["time"]["largest"] == 1
+    assert dict(_figures(answer.record))["pictures"] == "t = 1, the moment of the largest contact force"
     for one in (answer, Answer.read(folder)):
         shown = one.shown
         assert np.allclose([frame.t for frame in one.time_history.frames], kept)
