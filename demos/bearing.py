@@ -23,6 +23,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 from mpi4py import MPI
+from scipy.interpolate import NearestNDInterpolator
 from scipy.optimize import brentq
 
 from fenicsx_obstacle import Scene, solve, study
@@ -72,8 +73,10 @@ assert np.isclose(eccentricity, 0.475, atol=0.01)
 # %% [markdown]
 # ## Picture
 #
-# Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavitated region. Right: $S$ for
-# the eccentricities of the study, the known values, and the eccentricity with $S = 0.2$.
+# Left: the pressure on the unrolled cylinder at $S = 0.2$, with the boundary of the cavitated region. The film is
+# periodic: all nodes are drawn at $\theta - 2\pi$, $\theta$ and $\theta + 2\pi$. At the ends the pressure is given, and
+# no node is in contact; for the picture each takes the value of the nearest other node. Right: $S$ for the
+# eccentricities of the study, the known values, and the eccentricity with $S = 0.2$.
 
 # %%
 V = solution.u.function_space
@@ -83,10 +86,15 @@ everywhere = comm.gather(np.column_stack([points, solution.u.x.array[:own], solu
 if comm.rank == 0:
     x, y, z, u, contact = np.concatenate(everywhere).T
     theta = np.arctan2(y, x) % (2 * np.pi)
+    theta = np.concatenate([theta - 2 * np.pi, theta, theta + 2 * np.pi])
+    z, u, contact = (np.tile(values, 3) for values in (z, u, contact))
+    inner = ~np.isclose(np.abs(z), 1)
+    nearest = NearestNDInterpolator(np.column_stack([theta, z])[inner], contact[inner])
     page, (left, right) = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained", width_ratios=(1.5, 1))
     image = left.tricontourf(theta, z, u, levels=20, cmap="viridis")
-    left.tricontour(theta, z, contact, levels=[0.5], colors="white")
+    left.tricontour(theta, z, nearest(theta, z), levels=[0.5], colors="white")
     left.set(xlabel=r"$\theta$", ylabel="z", title="film pressure; white: boundary of the cavity")
+    left.set(xlim=(0, 2 * np.pi), ylim=(-1, 1))
     page.colorbar(image, ax=left, ticks=[0, 0.5, 1, 1.5, 2])
     right.semilogy(list(known), [S for S, _ in found], "-", color="#0072B2", label="computed")
     right.semilogy(list(known), [S for S, _ in known.values()], "o", color="#D55E00", label="Raimondi and Boyd")

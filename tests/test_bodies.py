@@ -25,8 +25,14 @@ from fenicsx_obstacle import (
     solve,
     study,
 )
+from fenicsx_obstacle.answers.profiles import profiles_of
+from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.problems.vector_valued import ContactTable
 from fenicsx_obstacle.scenes.body_report import _nodes_across
+from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
+from fenicsx_obstacle.show.page import _figures
+from fenicsx_obstacle.show.render import EYE, axes_of_view
 from tests.conftest import CLEAN, COMM, DEMOS, slow_except
 
 LAW = {"young": 1, "poisson": 0.3, "plane": "strain"}
@@ -275,6 +281,41 @@ def test_equilibria_in_time(folder):
     assert len(answer.time_history.frames) == 5 and "4 steps to t = 2, equilibria" in answer.summary()
     rows = list(csv.DictReader((folder / "history.csv").open()))
     assert len(rows) == 5 and np.isclose(float(rows[-1]["approach"]), 0.04)
+
+
+@pytest.mark.parametrize(("element", "steps", "frames", "kept"), [("P2", 4, 1, [0, 1, 2]), ("P1", 4, 0, [1])])
+def test_pictures_show_the_largest_load(element, steps, frames, kept, folder):
+    """A plane presses the body, most at t = 1, and leaves it at t = 2. The fields of t = 1 are saved, whatever else
+    is; pictures and profiles show them, also of the folder, on any number of ranks: p = E d/(1 + eps E)."""
+    law, eps, most = {"young": 2, "poisson": 0, "plane": "strain"}, 1e-6, 0.02 / (1 / 2 + 1e-6)
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.02*t*(2 - t)"}
+    line = {"from": [0.5, 0.2], "to": [0.5, 1], "n": 3}
+    scene = block(3, [*ROLLERS, {"on": "top", "obstacle": stamp}], law, profile={"up": line}, title="Pressed",
+                  time={"end": 2, "steps": steps, "frames": frames})  # fmt: skip
+    answer = solve(scene, eps=eps, element=element)
+    answer.save(folder)
+    assert np.allclose(answer.nodes.pressure, 0, atol=1e-12) and answer.record["time"]["largest"] == 1
+    assert dict(_figures(answer.record))["pictures"] == "t = 1, the moment of the largest contact force"
+    for one in (answer, Answer.read(folder)):
+        shown = one.shown
+        assert np.allclose([frame.t for frame in one.time_history.frames], kept)
+        assert shown.title == "Pressed, t = 1" and one.title == "Pressed"
+        assert np.allclose(shown.nodes.pressure, most, rtol=1e-6) and len(shown.nodes.points) == len(one.nodes.points)
+        assert np.allclose(shown.nodes.gap, -eps * most, rtol=1e-5)
+        assert np.allclose(shown.at([0.3, 0.6]), [0, -0.6 * most / 2], rtol=1e-6, atol=1e-8)
+        assert np.allclose(shown.at([[0.3, 0.6], [0.9, 0.2]], "von_mises"), most, rtol=1e-6)
+        assert np.allclose(profiles_of(one)["up"].u[:, 1], -most / 2 * np.array([0.2, 0.6, 1]), rtol=1e-6)
+        page = one.plot().page
+        assert COMM.rank > 0 or page._suptitle.get_text() == "Pressed, t = 1"
+
+
+def test_the_last_moment_is_shown_as_it_is():
+    """Where the load grows, or stays, pictures show the solution at the end with its element and its precision."""
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.02*min(t, 1)"}
+    scene = block(3, [*ROLLERS, {"on": "top", "obstacle": stamp}], time={"end": 2, "steps": 4, "frames": 0})
+    answer = solve(scene, element="P2")
+    assert answer.record["time"]["largest"] == 2 and not answer.time_history.frames
+    assert answer.shown.u is answer.u and answer.shown.title.endswith(", t = 2")
 
 
 @pytest.mark.slow
@@ -582,3 +623,62 @@ def test_no_line_joins_separate_contacts(places, name, element):
     assert spans[0][1] < spans[1][0]
     label = gap.get_xlabel().replace("\n", " ")
     assert label == name or (name == "parts" and "its parts one after the other" in label)
+
+
+FACES = ["left", "right", "bottom", "top", "back", "front"]
+
+
+def pressed_cube(face, element="P1", cell="tetrahedron", depth=0.01):
+    """A cube that a plane presses at one face; the opposite one and two others are held along their normals."""
+    axis, sign = FACES.index(face) // 2, 1 if FACES.index(face) % 2 else -1
+    faces = [FACES[2 * k + (sign < 0 if k == axis else 0)] for k in range(3)]
+    parts = [{"on": one, "value": [0 if k == held else "free" for k in range(3)]} for held, one in enumerate(faces)]
+    direction = [-sign if k == axis else 0 for k in range(3)]
+    at = [(sign > 0) - sign * depth if k == axis else 0 for k in range(3)]
+    parts.append({"on": face, "obstacle": {"plane": direction, "at": at}})
+    mesh = {"shape": "box", "cells": 2, "cell": cell}
+    scene = Scene(mesh=mesh, elasticity={"young": 1, "poisson": 0.3}, boundary=parts)
+    return solve(scene, element=element), axis, sign
+
+
+@pytest.mark.parametrize(
+    ("face", "element", "cell"),
+    slow_except(
+        [
+            ("top", "P1", "tetrahedron"), ("left", "P2", "tetrahedron"), ("bottom", "P1", "tetrahedron"),
+            ("back", "Q1", "hexahedron"), ("front", "Q2", "hexahedron"),
+        ],
+        ("top", "P1", "tetrahedron"), ("left", "P2", "tetrahedron"),
+    ),
+)  # fmt: skip
+def test_the_pressure_is_seen_on_its_facets(face, element, cell):
+    """The eye is on the side of the contact; all facets of the pressed face have its pressure, and no others."""
+    answer, axis, sign = pressed_cube(face, element, cell)
+    arrays = gather(answer)
+    if COMM.rank > 0:
+        return
+    side = 1.0 if "upper" in answer.record["contact"] else -1.0
+    assert sign * axes_of_view(eye_of(answer.nodes, [side]))[2, axis] > 0.4
+    facets = contact_facets(arrays, answer.nodes)
+    corners = arrays["points"][facets]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert np.allclose(corners[..., axis], sign > 0) and np.isclose(areas.sum(), 1)
+    assert np.allclose(np.abs(arrays["pressure"][facets]), 0.01, rtol=1e-3)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_eye_is_where_most_of_the_forces_are(side):
+    """Normals point to an upper obstacle and away from a lower one. A force of 3 on a face outweighs one of 2 on the
+    opposite one; without contact the larger part of the boundary counts; a contact from above has the usual view."""
+    for axis in range(3):
+        for sign in (1, -1):
+            outwards = sign * np.array([np.eye(3)[axis], -np.eye(3)[axis]])
+            for pressure, areas in (([-3.0, -2.0], [1e-9, 1e-9]), ([0.0, 0.0], [3.0, 2.0])):
+                nodes = ContactTable(
+                    np.zeros((2, 3)), side * outwards, np.array(areas), side * np.array(pressure), np.ones(2)
+                )
+                assert sign * axes_of_view(eye_of(nodes, [side]))[2, axis] > 0.4
+    assert eye_of(nodes, [side])[1] == -EYE[1]
+    above = ContactTable(np.zeros((1, 3)), np.array([[0, 0, side]]), np.ones(1), np.array([-side]), np.zeros(1))
+    assert eye_of(above, [side]) == EYE

@@ -1,6 +1,7 @@
 """Pictures: what is drawn, by whom, and that nobody's crash takes a study along."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,6 +247,31 @@ def test_a_solid_is_cut_open_without_slivers(monkeypatch):
     assert view.lower[1] == 0.5
 
 
+@pytest.mark.serial
+@pytest.mark.parametrize("half", [False, True])
+def test_a_body_has_its_pressure_on_the_pressed_face(half, monkeypatch):
+    """A cube pressed at x = 1: its whole surface is drawn, and the pressure on that face alone, towards the eye; of a
+    smaller box the part within it."""
+    pytest.importorskip("pyvista")
+    held = [{"on": on, "value": [0 if k == axis else "free" for k in range(3)]}
+            for axis, on in enumerate(("left", "bottom", "back"))]  # fmt: skip
+    stamp = {"on": "right", "obstacle": {"plane": [-1, 0, 0], "at": [0.98, 0, 0]}}
+    scene = Scene(mesh={"shape": "box", "cells": 2}, elasticity={"young": 1, "poisson": 0}, boundary=[*held, stamp])
+    found = []
+    monkeypatch.setattr(render, "rendered", lambda *given: found.append(given) or ([], "nobody"))
+    solve(scene).plot()
+    ((arrays, (_, view)),) = found
+    if half:
+        view = replace(view, lower=[0.5, 0.25, 0.0])
+    plotter = Seen()
+    render._add(plotter, render._grid(arrays, view), view)
+    (pressure,), (body,) = plotter.with_look(scalars="pressure"), plotter.with_look(color=render.FREE)
+    face, size = (0.75, 0.48 * 0.75 * 2 + 0.48 * 2 + 1.5) if half else (1.0, 2 + 4 * 0.98)
+    assert np.isclose(pressure.area, face, rtol=1e-3) and np.isclose(body.area, size, rtol=1e-3)
+    shift = render.ABOVE_BODY * render.axes_of_view(view.eye)[2]
+    assert shift[0] > 0 and np.allclose(pressure.points[:, 0], 0.98 + shift[0])
+
+
 def test_one_node_in_contact_keeps_its_line():
     """Smoothing does not take a small contact set away."""
     patch = on_rank_0(solve(membrane(load=1, upper="0.06 + 10*hypot(x - 0.5, y - 0.5)")))
@@ -375,6 +401,22 @@ def test_contact_at_given_values_has_the_pressure_beside_it():
     edge = np.isclose(patch.points[:, 0], 0.5) & np.isin(patch.points[:, 1], (0, 1))
     assert np.count_nonzero(edge) == 2
     assert np.allclose(patch.fields["pressure"][edge], 3, rtol=0.05)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("mesh", "element"),
+    [({"shape": "rectangle", "diagonal": "left"}, "P1"), ({"shape": "rectangle"}, "P2"), ({"shape": "box"}, "P1")],
+)
+def test_corners_in_contact_have_the_pressure_beside_them(mesh, element):
+    """Where all of u is given at the obstacle, or pressed on it, no corner and no edge is drawn without pressure, and
+    there is no free boundary; a part of the boundary beside u out of contact stays without pressure."""
+    patch = on_rank_0(solve(membrane(mesh={**mesh, "cells": 4}, load=-3, lower=0), element=element))
+    assert patch.fields["pressure"].min() > 1 and not free_boundary(patch)
+    scene = membrane(mesh={**mesh, "cells": 8}, load="where(x < 0.3, -30, 3)", lower=0)
+    patch = on_rank_0(solve(scene, element=element))
+    x, p = patch.points[:, 0], patch.fields["pressure"]
+    assert p[x == 0].min() > 1 and np.all(p[x > 0.5] == 0)
 
 
 @pytest.mark.serial

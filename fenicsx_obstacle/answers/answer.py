@@ -108,7 +108,7 @@ class Answer(Solution):
         Raises:
             InputError: If the folder has no saved solution.
         """
-        from fenicsx_obstacle.io.folder import points_of, read
+        from fenicsx_obstacle.io.folder import gather, read
 
         folder = Path(folder)
         saved = read(folder, comm, needed=("scene.toml",), steps_in_time=NEWTON)
@@ -124,5 +124,5 @@ class Answer(Solution):
             return answer
         from fenicsx_obstacle.answers.frames import load_course
 
-        time_history = on_root(comm, lambda: load_course(folder, len(saved.points)))
-        return replace(answer, time_history=time_history.renumbered(saved.points, points_of(answer)))
+        time_history = on_root(comm, lambda: load_course(folder, len(saved.mesh["points"])))
+        return replace(answer, time_history=time_history.renumbered(saved.mesh, gather(answer)))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities, 
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import one_line
 
+SAME_FORCE = 1e-6  # relative: of moments whose contact forces differ less, the last one is shown
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyAnswer(VectorSolution, Answer):
@@ -41,6 +44,22 @@ class BodyAnswer(VectorSolution, Answer):
 
     def functions(self) -> dict[str, fem.Function]:
         return VectorSolution.functions(self)
+
+    @cached_property
+    def shown(self) -> BodyAnswer:
+        """With time, the solution at the moment of the largest contact force, as the load may end at zero; its title
+        says which moment. An earlier moment than the last is on P1 simplices, in single precision (first use is
+        collective)."""
+        if "time" not in self.record or self.time_history is None:
+            return self
+        time = self.record["time"]
+        t = time.get("largest", time["t"])  # folders of version 0.2 do not have it
+        frames, found = [frame for frame in self.time_history.frames if frame.t == t], self
+        if t != time["t"] and frames:
+            found = self.plain.with_values(self.level.comm.bcast(frames[0].fields))
+            time = {**time, "t": t}
+        title = f"{self.title}, {one_line(time['name'])} = {time['t']:.4g}"
+        return replace(found, record={**self.record, "title": title, "time": time})
 
     def files(self, folder: Path, *given: Any) -> Files:
         text, nodes = StringIO(), self.nodes
@@ -150,12 +169,15 @@ class BodyContext:
     ) -> tuple[VectorSolution, TimeHistory, dict[str, Any]]:
         """An equilibrium at each time, each from the last one; the solution at the end, all rows, counts (collective).
 
+        The fields of the moment with the largest contact force are kept, whatever other moments are.
+
         Raises:
             InputError: If data are wrong at some time, with it.
             NotConverged: The same.
         """
         rows, frames, name = list[dict[str, Any]](), list[Frame](), one_line(moments.name)
         kept = {round(k * moments.steps / max(moments.frames, 1)) for k in range(moments.frames + 1)}
+        most, largest, loaded = 0.0, 0.0, None
         for step in range(moments.steps + 1):
             t = moments.end * step / moments.steps
             try:
@@ -176,7 +198,13 @@ class BodyContext:
             })  # fmt: skip
             if moments.frames and step in kept:
                 frames.append(Frame(t, fields_of(solution)))
-        times = {"t": t, "name": moments.name, "scheme": moments.scheme, "steps": moments.steps, "rejected": 0}
+            force = float(np.abs(solution.nodes.pressure) @ solution.nodes.areas)
+            if force >= (1 - SAME_FORCE) * largest:
+                most, largest, loaded = t, force, solution
+        if loaded is not None and loaded is not solution and all(frame.t != most for frame in frames):
+            frames = sorted([*frames, Frame(most, fields_of(loaded))], key=lambda frame: frame.t)
+        times = {"t": t, "name": moments.name, "scheme": moments.scheme, "steps": moments.steps, "rejected": 0,
+                 "largest": most}  # fmt: skip
         newton, krylov = (sum(row[key] for row in rows) for key in ("newton", "krylov"))
         counts = {"time": times, "newton_total": newton, "krylov_total": krylov}
         rows = self.body.level.comm.bcast(rows)

@@ -67,7 +67,7 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
     stored, rows, frames = on_root(comm, _load, place)
     points = gathered(comm, level.points.T[: level.owned])
     frames = (
-        renumbered(frames, stored["points"], points) if level.pair.nested_hierarchy else []
+        renumbered(frames, stored, {} if points is None else {"points": points}) if level.pair.nested_hierarchy else []
     )  # others' are on cut cells
     distance, found = cKDTree(stored["points"]).query(level.points.T)
     elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs

@@ -64,16 +64,17 @@ def check_profiles(scene: Scene, level: Level) -> None:
 
 
 def profiles_of(answer: Answer) -> dict[str, Profile]:
-    """The solution along all profiles of its scene, with their formulas of comparison (collective).
+    """The solution that pictures show along all profiles of its scene, with formulas of comparison (collective).
 
     Raises:
         InputError: As `points_of`, or if a formula is not finite at a point.
     """
     scene, found = answer.scene, {}
-    t = answer.record["time"]["t"] if "time" in answer.record else None
+    shown = answer.shown
+    t = shown.record["time"]["t"] if "time" in shown.record else None
     for name, points in points_of(scene, answer.level).items():
         given = scene.tables.profile[name].compare
-        found[name] = compared(scene, answer.on(points), given, compare_place(name), t)
+        found[name] = compared(scene, shown.on(points), given, compare_place(name), t)
     return found
 
 
@@ -122,7 +123,7 @@ def moments_of(
     Raises:
         InputError: As `compared`.
     """
-    if answer.time_history is None or answer.scene.model.vector_valued:  # of a body at the end alone
+    if answer.time_history is None or answer.scene.model.vector_valued:  # of a body at the moment that is shown
         return []
     plain, points = answer.plain.level, _in_space(profile.points)
     comm, map_ = plain.comm, plain.V.dofmap.index_map

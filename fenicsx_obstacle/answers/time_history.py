@@ -58,8 +58,8 @@ class TimeHistory:
             raise InputError(f"time_history has no column '{name}'" + nearest(name, names))
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
 
-    def renumbered(self, old: np.ndarray, new: np.ndarray | None) -> TimeHistory:
-        """With frames in the order of points `new`, whose nodes were at `old`."""
+    def renumbered(self, old: Mapping[str, np.ndarray], new: Mapping[str, np.ndarray]) -> TimeHistory:
+        """With frames in the order of the points and cells `new`, whose values were in that of `old`."""
         return TimeHistory(self.rows, tuple(renumbered(self.frames, old, new)))
 
 
@@ -84,12 +84,22 @@ def from_arrays(found: Mapping[str, np.ndarray], count: int) -> list[Frame]:
     return [Frame(float(one.pop("t")), one) for one in frames.values()]
 
 
-def renumbered(frames: Sequence[Frame], old: np.ndarray, new: np.ndarray | None) -> list[Frame]:
-    """Frames whose nodes were at points `old`, in the order of points `new`; empty ones where there are none."""
-    if new is None:
+def renumbered(frames: Sequence[Frame], old: Mapping[str, np.ndarray], new: Mapping[str, np.ndarray]) -> list[Frame]:
+    """Frames in the order of another numbering of the same mesh; empty ones where there is none.
+
+    Args:
+        frames: Nodal fields, and fields by cell.
+        old: `points` and, of fields by cell, `cells` in the order of the frames.
+        new: The same in the other order.
+    """
+    if not new:
         return [Frame(frame.t, {}) for frame in frames]
-    order = cKDTree(old).query(new)[1]
-    return [Frame(one.t, {name: values[order] for name, values in one.fields.items()}) for one in frames]
+    order = {False: cKDTree(old["points"]).query(new["points"])[1]}
+    if any(name in frame.fields for frame in frames for name in BY_CELL):
+        before, after = (mesh["points"][mesh["cells"]].mean(axis=1) for mesh in (old, new))
+        order[True] = cKDTree(before).query(after)[1]
+    return [Frame(one.t, {name: values[order[name in BY_CELL]] for name, values in one.fields.items()})
+            for one in frames]  # fmt: skip
 
 
 def to_csv(rows: Sequence[Row]) -> str:

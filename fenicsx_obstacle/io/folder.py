@@ -23,7 +23,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, pairs
 from fenicsx_obstacle.io.cut import OnNodes, global_dofs, on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
-from fenicsx_obstacle.io.paraview import FRAMES, xdmf
+from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
 from fenicsx_obstacle.io.validation import check_arrays, check_record
 from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root, write_text
@@ -141,11 +141,11 @@ class Saved:
 
     Attributes:
         fields: Arguments of `Solution`, and `error` where it is there.
-        points: Coordinates of the nodes in the order of the files, shape (n, 3).
+        mesh: `points`, shape (n, 3), and `cells` in the order of the files.
     """
 
     fields: dict[str, Any]
-    points: np.ndarray
+    mesh: dict[str, np.ndarray]
 
 
 def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_time: str = "history.csv") -> Saved:
@@ -222,7 +222,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         except (TypeError, AttributeError) as error:
             raise InputError(f"{folder}: the saved answer is damaged: {ANSWER}: bound: {error}") from None
     further |= {"level": level, "history": steps, "record": record}
-    return Saved({**fields, **further}, arrays["points"])
+    return Saved({**fields, **further}, {name: arrays[name] for name in ("points", "cells")})
 
 
 def _group(arrays: Mapping[str, np.ndarray], group: str) -> Groups:
@@ -277,7 +277,7 @@ def fields_of(solution: Solution) -> dict[str, np.ndarray]:
     found = {
         name: values.astype(np.float32)
         for name, values in _own(solution, on_nodes(solution)).items()
-        if name in FIELDS + DERIVED
+        if name in FIELDS + DERIVED + BY_CELL
     }
     return _gathered(solution.level.comm, found)
 
@@ -292,12 +292,6 @@ def gather(solution: Solution) -> dict[str, np.ndarray]:
 def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     found = {name: gathered(comm, values) for name, values in own.items()}
     return {name: values for name, values in found.items() if values is not None}
-
-
-def points_of(solution: Solution) -> np.ndarray | None:
-    """Coordinates of the nodes of all ranks in the order of `gather`, on rank 0; None elsewhere (collective)."""
-    level = solution.level if on_nodes(solution) is not None else solution.plain.level.scalar
-    return gathered(level.comm, level.points.T[: level.owned])
 
 
 def _nodes(solution: Solution, shown: OnNodes | None) -> np.ndarray:

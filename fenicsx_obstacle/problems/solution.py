@@ -181,6 +181,11 @@ class Solution:
         """Its interpolant on P1 simplices, for pictures and ParaView (first use is collective)."""
         return self if self.level.pair.nested_hierarchy else cast("Self", self.cut.plain)
 
+    @property
+    def shown(self) -> Self:
+        """What pictures show: this solution (collective)."""
+        return self
+
     @cached_property
     def cut(self) -> Cut:
         """The subdivision of the cells from which `plain` is made, for elements other than P1 (first use is
@@ -454,4 +459,4 @@ class Solution:
         """
         from fenicsx_obstacle.show.pictures import draw_answer
 
-        return draw_answer(self, None if path is None else Path(path))
+        return draw_answer(self.shown, None if path is None else Path(path))

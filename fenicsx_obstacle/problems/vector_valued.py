@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import ufl
@@ -13,6 +13,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
@@ -25,12 +26,14 @@ from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
 from fenicsx_obstacle.problems.solution import PARTITION, Solution
 from fenicsx_obstacle.problems.values import Force, Profile
 from fenicsx_obstacle.text import nearest, shown
 
 SAME = 1e-9  # of the size of the contact set: coordinates that differ by round-off
+Vector = TypeVar("Vector", bound="VectorSolution")
 NO_STRESS = "give the problem its stress in UFL, stress=sigma(u)"
 
 
@@ -235,7 +238,7 @@ class VectorSolution(Solution):
         """The contact nodes."""
         return {f"nodes/{one.name}": getattr(self.nodes, one.name) for one in dataclasses.fields(self.nodes)}
 
-    def on_pieces(self, level: Level, fields: Mapping[str, fem.Function], parents: np.ndarray) -> VectorSolution:
+    def on_pieces(self, level: Level, fields: Mapping[str, fem.Function], parents: np.ndarray) -> Self:
         von_mises = None
         if self.von_mises is not None:
             space = releases.functionspace(level.mesh, "DG", 0)
@@ -245,10 +248,35 @@ class VectorSolution(Solution):
             von_mises.x.scatter_forward()
         return _assembled(self, level, fields, von_mises)
 
+    def with_values(self, given: Mapping[str, np.ndarray]) -> Self:
+        """This solution, of P1 simplices, with other values (collective).
+
+        Args:
+            given: u, pressure, contact, gap and von_mises in the order of `io.folder.gather`, the same on every rank.
+        """
+        level, mesh = self.level.scalar, self.level.mesh
+        fields, first = {}, level.V.dofmap.index_map.local_range[0]
+        for name in self.functions():
+            values = given["u"][:, int(name[1:])] if name not in given else given[name]
+            fields[name] = fem.Function(level.V)
+            fields[name].x.array[: level.owned] = values[first : first + level.owned]
+            fields[name].x.scatter_forward()
+        von_mises = None
+        if "von_mises" in given:
+            von_mises = fem.Function(releases.functionspace(mesh, "DG", 0))
+            dofs = releases.cell_dofs(von_mises.function_space)[: own_cells(mesh), 0]
+            start = before(level.comm, len(dofs))
+            von_mises.x.array[dofs] = given["von_mises"][start : start + len(dofs)]
+            von_mises.x.scatter_forward()
+        points = np.concatenate(level.comm.allgather(level.points.T[: level.owned]))
+        near = cKDTree(points[:, : mesh.geometry.dim]).query(self.nodes.points)[1]
+        nodes = replace(self.nodes, **{name: given[name][near].astype(float) for name in ("pressure", "gap")})
+        return replace(_assembled(self, level, fields, von_mises), nodes=nodes)
+
 
 def _assembled(
-    solution: VectorSolution, level: Level, fields: Mapping[str, fem.Function], von_mises: fem.Function | None
-) -> VectorSolution:
+    solution: Vector, level: Level, fields: Mapping[str, fem.Function], von_mises: fem.Function | None
+) -> Vector:
     """The same solution with other functions, on another mesh (collective)."""
     new, components = over(level), [fields[f"u{k}"] for k in range(level.mesh.geometry.dim)]
     rest = {name: fields[name] for name in ("pressure", "contact", "gap")}

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenicsx_obstacle.show.boundary import Patch, rim
-from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank
+from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank, legend_below
 from fenicsx_obstacle.show.maps import heights, pressures
-from fenicsx_obstacle.show.render import OBSTACLE
-from fenicsx_obstacle.show.space import cut_at, draw_views
+from fenicsx_obstacle.show.render import EYE, FREE, OBSTACLE, axes_of_view
+from fenicsx_obstacle.show.space import draw_views
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.problems.vector_valued import ContactTable
@@ -22,6 +22,8 @@ WHOLE = 0.7  # of the size of the body: a part as large as that is the body
 VISIBLE = 0.03  # of the size of the picture: smaller displacements are magnified
 ARROWS = 25  # of the pressure
 ARROW = 0.18  # length of the longest one, in units of the side of the picture
+ALONG = 1e-6  # cosine of the angle between the normal of a facet and a direction along it
+EYES = [(azimuth, sign * EYE[1]) for sign in (1, -1) for azimuth in (EYE[0] + 90.0 * np.arange(4)).tolist()]
 BETWEEN = 0.1  # of the size of the contact boundary: between its parts in a profile
 STRESS, SIZE = "von Mises stress, one value for each cell", "size of the displacement"
 
@@ -36,7 +38,7 @@ def draw_body(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequenc
     """
     if int(arrays["gdim"]) == 2:
         return _flat(arrays, nodes, sides), "matplotlib, as plane bodies need no third dimension"
-    return _in_space(arrays)
+    return _in_space(arrays, nodes, sides)
 
 
 def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[float]) -> Any:
@@ -47,12 +49,9 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     grid = page.add_gridspec(2, 2, width_ratios=(1.25, 1), height_ratios=(1.6, 1))
     left, upper = page.add_subplot(grid[:, 0]), page.add_subplot(grid[0, 1])
     lower = page.add_subplot(grid[1, 1], sharex=upper)
-    low, high, whole = _window(arrays["points"][:, :2], nodes)
-    side = float(np.max(high - low))
     points, u, cells = arrays["points"][:, :2], arrays["u"][:, :2], arrays["cells"]
-    inside = np.all((points >= low) & (points <= high), axis=1)
-    factor = _magnified(u[inside] if inside.any() else u, side)
-    moved = points + factor * u
+    low, high, whole, factor = _near(points, u, nodes)
+    side, moved = float(np.max(high - low)), points + factor * u
     colours, label = _stress(arrays)
     shape = Triangulation(*moved.T, cells)
     if "von_mises" in arrays:
@@ -65,14 +64,11 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     if len(sides) == 1:
         _obstacle(left, points, rim(cells), arrays["u"][ours, :2], ours, nodes, factor, sides[0])
     _arrows(left, moved[ours], nodes, side)
-    shift = factor * u[inside].mean(axis=0) if inside.any() else np.zeros(2)
     room = 0.02 * side + (ARROW * side if whole else 0.0)
-    left.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0] + shift[0] - room, high[0] + shift[0] + room),
-             ylim=(low[1] + shift[1] - room, high[1] + shift[1] + room))  # fmt: skip
-    where = "" if whole else "near the contact, "
-    scale = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
+    left.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0] - room, high[0] + room),
+             ylim=(low[1] - room, high[1] + room))  # fmt: skip
     grey = "; grey: obstacle" if len(sides) == 1 else ""
-    left.set_title(fill(f"{where}{scale}; arrows: contact pressure{grey}", 58), fontsize=9)
+    left.set_title(fill(f"{_scaled(whole, factor)}; arrows: contact pressure{grey}", 58), fontsize=9)
     _profile(upper, lower, nodes, _curves(rim(cells), ours))
     return page
 
@@ -126,27 +122,74 @@ def _profile(upper: Any, lower: Any, nodes: ContactTable, curves: Sequence[np.nd
     lower.set_xlabel(fill(name, 42))
 
 
-def _in_space(arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
-    """The deformed body from outside, or a solid cut open, coloured by its stress and by the pressure."""
+def _in_space(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[float]) -> tuple[Any, str]:
+    """The deformed body near the contact set, seen from there: its stress, and the pressure on the contact boundary."""
     points, cells, u = arrays["points"], arrays["cells"], arrays["u"]
-    factor = _magnified(u, float(np.ptp(points, axis=0).max()))
+    low, high, whole, factor = _near(points, u, nodes)
     colours, label = _stress(arrays)
     values = np.linalg.norm(u, axis=1)
     if "von_mises" in arrays:
         counts = np.bincount(cells.ravel(), minlength=len(points))
         sums = np.bincount(cells.ravel(), np.repeat(arrays["von_mises"], cells.shape[1]), len(points))
         values, label = sums / np.maximum(counts, 1), "von Mises stress, mean of the cells around each node"
-    fields = {"stress": values, "pressure": arrays["pressure"], "contact": arrays["contact"]}
-    patch = Patch(points + factor * u, cells, fields)
-    scales = {"stress": colours, "pressure": pressures(arrays["pressure"])}
-    page, kind = blank(10.4, 4.5), "solid" if cells.shape[1] == 4 else "surface"
-    who = draw_views(page, list(page.add_gridspec(1, 2)), patch, scales, kind, "z")
+    moved, page = points + factor * u, blank(10.4, 4.5)
+    patch = Patch(moved, cells, {"stress": values, "pressure": arrays["pressure"], "contact": arrays["contact"]})
+    scales = {"stress": colours, "pressure": pressures(nodes.pressure)}
+    given, kind = dict[str, Any](), "surface"
+    if cells.shape[1] == 4:
+        low, high = np.maximum(low, moved.min(axis=0)), np.minimum(high, moved.max(axis=0))
+        apart = np.isnan(arrays["gap"])
+        patch.fields.update(pressure=np.where(apart, np.nan, arrays["pressure"]), contact=~apart)
+        given, kind = {"facets": contact_facets(arrays, nodes), "box": (low, high)}, "body"
+    eye = eye_of(nodes, sides)
+    who = draw_views(page, list(page.add_gridspec(1, 2)), patch, scales, kind, "z", eye=eye, **given)
     labels = (label, "contact pressure p, computed at nodes, linear between")
     for axis, scale, text in zip(page.axes, scales.values(), labels, strict=True):
-        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(text, fontsize=8.5)
-        how = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
-        axis.set_title(f"cut open at y = {cut_at(patch):.3g}, {how}" if kind == "solid" else how, fontsize=9)
+        page.colorbar(scale, ax=axis, shrink=0.7, pad=0.16).set_label(fill(text, 42), fontsize=8.5)
+        axis.set_title(_scaled(whole or kind == "surface", factor), fontsize=9)
+    if kind == "body":
+        legend_below(page, {"no obstacle faces it": {"facecolor": FREE, "edgecolor": "0.2", "linewidth": 0.5}}, "")
     return page, who
+
+
+def contact_facets(arrays: dict[str, np.ndarray], nodes: ContactTable) -> np.ndarray:
+    """The triangles of the contact boundary of tetrahedra: each corner has a gap, and it is not measured along the
+    triangle."""
+    points, facets = arrays["points"], rim(arrays["cells"])
+    facets = facets[~np.isnan(arrays["gap"][facets]).any(axis=1)]
+    corners = points[facets]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = nodes.normals[_rows(nodes.points, corners.mean(axis=1))]
+    along = np.einsum("ij,ij->i", across, normals) / np.linalg.norm(across, axis=1)
+    return np.asarray(facets[np.abs(along) > ALONG])
+
+
+def eye_of(nodes: ContactTable, sides: Sequence[float]) -> tuple[float, float]:
+    """Azimuth and elevation, of `EYES`, from which most of the contact forces are seen; without contact, most of the
+    contact boundary."""
+    pressed = np.where(nodes.pressure != 0, -np.sign(nodes.pressure), sides[0])
+    sizes = nodes.areas * (np.abs(nodes.pressure) if nodes.pressure.any() else 1.0)
+    outwards = pressed[:, None] * nodes.normals
+    seen = [sizes @ np.maximum(outwards @ axes_of_view(eye)[2], 0.0) for eye in EYES]
+    return EYES[int(np.argmax(np.array(seen) > (1 - ROUND_OFF) * max(seen)))]
+
+
+def _near(points: np.ndarray, u: np.ndarray, nodes: ContactTable) -> tuple[np.ndarray, np.ndarray, bool, float]:
+    """Corners of the part of the deformed body to be drawn, whether it is the whole body, and the factor of u."""
+    low, high, whole = _window(points, nodes)
+    inside = np.all((points >= low) & (points <= high), axis=1)
+    there = u[inside] if inside.any() else u
+    factor = _magnified(there, float(np.max(high - low)))
+    if whole:
+        moved = points + factor * u
+        return moved.min(axis=0), moved.max(axis=0), whole, factor
+    shift = factor * there.mean(axis=0)
+    return low + shift, high + shift, whole, factor
+
+
+def _scaled(whole: bool, factor: float) -> str:
+    scale = "to scale" if factor == 1.0 else f"displacements {factor:g} times as large"
+    return scale if whole else f"near the contact, {scale}"
 
 
 def _stress(arrays: dict[str, np.ndarray]) -> tuple[Any, str]:

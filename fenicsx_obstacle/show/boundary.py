@@ -16,8 +16,10 @@ import numpy as np
 SIDES = {"lower": 1.0, "upper": -1.0}  # sign of the pressure of each obstacle
 LEVELS = {"lower": "level lower", "upper": "level upper"}  # names of the level functions among the fields
 AVERAGED = 2  # times that each value is replaced by the mean with its neighbours
-# the level at a node knows the nodes so many edges away: one to tell contact, two for the rise beside it, and means
-RINGS = 3 + AVERAGED
+CORNERS = 2  # edges from a pressed node to a corner of a solid whose faces are held: the first leads to an edge
+# the level at a node knows the nodes so many edges away: one to tell contact, those of corners, two for the rise beside
+# it, and means
+RINGS = 3 + CORNERS + AVERAGED
 FARTHEST = 1e20  # height of an obstacle in a picture where there is none
 MIN_LEVEL = 0.02  # level of a node next to the line, in units of the level's usual rise from node to node
 
@@ -56,11 +58,15 @@ def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) ->
     fields, edges = {**patch.fields, **finite}, _edges(patch.cells)
     largest = largest_gap or {side: gap(fields, side).max(initial=0.0) for side in SIDES if side in names}
     for side, size in largest.items():
-        pressing, held = pressed(fields, side), _held(fields, side, edges, size)
-        fields[LEVELS[side]] = _level(gap(fields, side), pressing | held, edges)
-        a, b = edges[:, pressing[edges[1]]]
-        near, _ = _mean(a, fields["pressure"][b], len(held))
-        fields["pressure"] = np.where(held & (fields["pressure"] == 0), near, fields["pressure"])
+        known = pressed(fields, side)
+        given, corner = _given(fields, side, patch.cells, edges, size)
+        for there in (given, *[corner] * CORNERS):
+            a, b = edges[:, known[edges[1]]]
+            near, has = _mean(a, fields["pressure"][b], len(known))
+            held = has & ~known & there
+            fields["pressure"] = np.where(held & (fields["pressure"] == 0), near, fields["pressure"])
+            known = known | held
+        fields[LEVELS[side]] = _level(gap(fields, side), known, edges)
     return Patch(patch.points, patch.cells, fields)
 
 
@@ -119,11 +125,22 @@ def pressed(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:
     return touching
 
 
-def _held(fields: Mapping[str, np.ndarray], side: str, edges: np.ndarray, largest_gap: float) -> np.ndarray:
-    """Whether u is given at each node as the obstacle itself: no pressure tells of contact, only that beside it."""
-    touching, beside = pressed(fields, side), np.zeros(len(fields["u"]), dtype=bool)
-    beside[edges[0, touching[edges[1]]]] = True
-    return beside & ~touching & (gap(fields, side) <= 1e-10 * largest_gap)
+def _given(
+    fields: Mapping[str, np.ndarray], side: str, cells: np.ndarray, edges: np.ndarray, largest_gap: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes where u is given as the obstacle itself, so that no pressure tells of contact, only that beside it.
+
+    Returns:
+        First all of them, then those at corners and edges of the mesh: no neighbour is inside of it.
+    """
+    given = ~pressed(fields, side) & (gap(fields, side) <= 1e-10 * largest_gap)
+    if not given.any():
+        return given, given
+    inner = np.ones(len(given), dtype=bool)
+    inner[rim(cells)] = False
+    corner = given.copy()
+    corner[edges[0, inner[edges[1]]]] = False
+    return given, corner
 
 
 def _level(distance: np.ndarray, touching: np.ndarray, edges: np.ndarray) -> np.ndarray:

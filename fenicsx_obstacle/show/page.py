@@ -252,6 +252,8 @@ def _figures(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         force = with_uncertainty(record, contact[side]["force"], ".6g", "contact", side, "force")
         facts.append((f"force on {side} obstacle", force))
     facts.append(("penetration", with_uncertainty(record, record["penetration"], ".4g", "penetration")))
+    if "largest" in (time := record.get("time", {})):
+        facts.append(("pictures", f"{time['name']} = {time['largest']:.4g}, the moment of the largest contact force"))
     facts += [("warning", remark) for remark in record.get("remarks", ())]
     if "reason" in record.get("uncertainty", {}):
         facts.append(("no uncertainty", record["uncertainty"]["reason"]))

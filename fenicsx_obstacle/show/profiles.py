@@ -43,14 +43,15 @@ def draw_profiles(answer: Answer, folder: Path) -> dict[str, str]:
         SVG elements by name, on rank 0.
     """
     drawn: dict[str, str] = {}
+    moment = answer.shown.title.removeprefix(answer.title)
     for name, profile in (profiles_of(answer) if answer.scene.tables.profile else {}).items():
         given = answer.scene.tables.profile[name].compare
-        moments, sizes = moments_of(answer, profile, given, compare_place(name)), _sizes(answer)
+        moments, sizes = moments_of(answer, profile, given, compare_place(name)), _sizes(answer.shown)
 
         def write(name: str = name, profile: Profile = profile, moments: Any = moments, sizes: Any = sizes) -> None:
             parts = dict(moments) if moments else {None: profile}
             write_text(folder / f"profile-{name}.csv", as_csv(parts))
-            page = _drawn(_labelled(answer, profile, moments), answer.symbol, name, sizes)
+            page = _drawn(_labelled(answer, profile, moments), answer.symbol, name + moment, sizes)
             save(page, folder / f"profile-{name}.png")
             drawn[name] = svg(page, f"profile-{name}")
 
@@ -77,7 +78,7 @@ def draw_line(
         InputError: If the line leaves the mesh, the name is of no picture, or a formula has no values there.
     """
     check_name(path)
-    given, place = compare or {}, "--compare"
+    answer, given, place = answer.shown, compare or {}, "--compare"
     check_formulas(answer.scene, given, place)
     profile = answer.along(start, end)
     outside = np.isnan(profile.u.reshape(len(profile.s), -1)).any(axis=1)

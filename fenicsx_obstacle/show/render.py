@@ -23,10 +23,12 @@ from fenicsx_obstacle.show.figures import INK
 
 PATIENCE = 120.0  # seconds
 PIXELS = 1500  # width of a picture
-AZIMUTH, ELEVATION = -58.0, 32.0  # degrees, of the eye
+EYE = -58.0, 32.0  # azimuth and elevation, degrees
 FREE, OBSTACLE, EDGE = "#97C0E4", "#8A8178", "#66788A"
 CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the contact behind it
 UPPER = 0.4  # opacity of an upper obstacle
+BESIDE = 1e-4  # of the widest side: distance of a cut from nodes, as cells are cut there into ones without area
+ABOVE_BODY = 3e-3  # the same: distance towards the eye of the pressure from the body that it presses
 _MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 _WORKER = [sys.executable, "-P", "-m", "fenicsx_obstacle.show.render"]
 
@@ -36,13 +38,14 @@ class View:
     """The contents of a view in space.
 
     Attributes:
-        kind: `graph` of u over a plane mesh, `surface` in space, or `solid`, cut open.
+        kind: `graph` of u over a plane mesh, `surface` in space, `solid`, cut open, or `body`, pressed on some facets.
         shown: The field in colours; where it is the pressure, only in contact.
         colours: Name of a colormap.
         limits: Values at its ends.
         lower: Lower corner of the box, in the units of the data.
         upper: Upper corner.
         scale: From data to the picture, for each axis.
+        eye: Azimuth and elevation of the eye, degrees.
     """
 
     kind: str
@@ -52,6 +55,7 @@ class View:
     lower: list[float]
     upper: list[float]
     scale: list[float]
+    eye: tuple[float, float] = EYE
 
     @property
     def half(self) -> float:
@@ -64,9 +68,9 @@ class View:
         return (np.array(self.lower) + self.upper) / 2
 
 
-def axes_of_view() -> np.ndarray:
-    """Unit vectors to the right, up and towards the eye, as rows."""
-    a, e = np.radians([AZIMUTH, ELEVATION])
+def axes_of_view(eye: tuple[float, float]) -> np.ndarray:
+    """Unit vectors to the right, up and towards an eye, as rows."""
+    a, e = np.radians(eye)
     right, up = [-np.sin(a), np.cos(a), 0.0], [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)]
     return np.array([right, up, np.cross(right, up)])
 
@@ -75,7 +79,7 @@ def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[l
     """Pictures of some views by pyvista (one rank).
 
     Args:
-        arrays: Points, cells and nodal fields.
+        arrays: Points, cells, nodal fields and, of bodies, `facets`: the triangles that show the pressure.
         views: What to draw.
 
     Returns:
@@ -116,7 +120,7 @@ def draw(folder: Path) -> None:
         plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
         plotter.enable_depth_peeling()
         _add(plotter, _grid(arrays, view), view)
-        camera, (_, up, eye) = plotter.camera, axes_of_view()
+        camera, (_, up, eye) = plotter.camera, axes_of_view(view.eye)
         camera.parallel_projection = True
         camera.focal_point = view.centre * view.scale
         camera.position, camera.up = camera.focal_point + 5 * eye, up
@@ -129,12 +133,22 @@ def draw(folder: Path) -> None:
 def _grid(arrays: Mapping[str, np.ndarray], view: View) -> Any:
     import pyvista
 
-    cells = arrays["cells"]
+    cells = _oriented(arrays["cells"], arrays["points"])
     kind = pyvista.CellType.TRIANGLE if cells.shape[1] == 3 else pyvista.CellType.TETRA
-    grid = pyvista.UnstructuredGrid({kind: cells}, arrays["points"] * view.scale)
-    for name in arrays.keys() - {"points", "cells"}:
+    of_kind = {kind: cells} | ({pyvista.CellType.TRIANGLE: arrays["facets"]} if "facets" in arrays else {})
+    grid = pyvista.UnstructuredGrid(of_kind, arrays["points"] * view.scale)
+    for name in arrays.keys() - {"points", "cells", "facets"}:
         grid[name] = arrays[name]
     return grid
+
+
+def _oriented(cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Cells, tetrahedra with positive volumes: normals of their surface then point outwards."""
+    if cells.shape[1] == 3:
+        return cells
+    a, b, c = np.moveaxis(points[cells[:, 1:]] - points[cells[:, :1]], 1, 0)
+    inverted = np.einsum("ij,ij->i", np.cross(a, b), c) < 0
+    return np.where(inverted[:, None], cells[:, [0, 1, 3, 2]], cells)
 
 
 def _add(plotter: Any, grid: Any, view: View) -> None:
@@ -145,29 +159,41 @@ def _add(plotter: Any, grid: Any, view: View) -> None:
         shell = body = grid.warp_by_scalar("seen", factor=view.scale[2])
         for side, level in levels.items():
             _add_obstacle(plotter, grid, view, side, level)
-    elif view.kind == "solid":
-        # beside the nodes: a cut through a layer of them is full of triangles without area
-        plane = (0.0, view.lower[1] * view.scale[1] + 1e-4, 0.0)
-        shell = grid.extract_surface().clip(normal="-y", origin=plane)
-        body = grid.clip(normal="-y", origin=plane).extract_surface()
+    elif view.kind in ("solid", "body"):
+        cells = grid.extract_cells(grid.celltypes == grid.celltypes[0])
+        shell, body = _within(cells.extract_surface(), view), _within(cells, view).extract_surface()
     scale = {"scalars": view.shown, "cmap": view.colours, "clim": view.limits, "show_scalar_bar": False}
-    smooth, apart = view.kind != "solid", body
+    smooth, apart = view.kind not in ("solid", "body"), body
     for level in levels.values():
         _paint(plotter, apart.clip_scalar(scalars=level, value=0.0), smooth_shading=smooth, **scale)
         apart = apart.clip_scalar(scalars=level, value=0.0, invert=False)
-    pressed = view.shown == "pressure" and (levels or view.kind == "graph")
+    pressed = view.shown == "pressure" and (levels or view.kind in ("graph", "body"))
     opacity = CLEAR if view.kind == "graph" else 1.0
     _paint(plotter, apart, smooth_shading=smooth, **({"color": FREE, "opacity": opacity} if pressed else scale))
+    if pressed and view.kind == "body":
+        facets = _within(grid.extract_cells(grid.celltypes != grid.celltypes[0]), view)
+        facets.points += ABOVE_BODY * axes_of_view(view.eye)[2]
+        _paint(plotter, facets, **scale)
     edges = shell.extract_surface().extract_feature_edges(
-        boundary_edges=True, feature_edges=False, manifold_edges=False, non_manifold_edges=False
+        boundary_edges=True, feature_edges=view.kind == "body", manifold_edges=False, non_manifold_edges=False
     )
-    if levels or not pressed:
+    if levels or not pressed or view.kind == "body":
         _draw_lines(plotter, edges, 0.0015, color=EDGE)
     else:  # obstacles on the boundary alone
         _draw_lines(plotter, edges, 0.01, **scale)
     for level in levels.values():
         line = body.extract_surface().contour(isosurfaces=[0.0], scalars=level)
         _draw_lines(plotter, line, 0.0035, color=INK)
+
+
+def _within(mesh: Any, view: View) -> Any:
+    """A mesh, cut where the box of a view ends within it."""
+    for axis, unit in enumerate(np.eye(3)):
+        for corner, sign in ((view.lower, -1), (view.upper, 1)):
+            place = sign * corner[axis] * view.scale[axis]
+            if mesh.n_cells and np.max(sign * mesh.points[:, axis]) > place + BESIDE:
+                mesh = mesh.clip(normal=sign * unit, origin=sign * (place - BESIDE) * unit)
+    return mesh
 
 
 def _add_obstacle(plotter: Any, grid: Any, view: View, side: str, level: str) -> None:

@@ -17,11 +17,15 @@ HEIGHT = 0.42  # of the graph of u, in units of its widest side
 MARGIN = 0.12  # of the box above and below the graph, in units of the range of u
 THINNEST = 0.01  # of the widest side of a box
 VISIBLE = 0.01  # of the height of the box
-ZOOM = {"graph": 1.2, "surface": 0.95, "solid": 0.95}  # of the box within its place on the page
+ZOOM = {"graph": 1.2, "surface": 0.95, "solid": 0.95, "body": 0.95}  # of the box within its place on the page
 LIGHT = np.array([-0.25, -0.45, 0.86])
 
 
-def draw_views(page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[str, Any], kind: str, label: str) -> str:
+def draw_views(
+    page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[str, Any], kind: str, label: str, *,
+    facets: np.ndarray | None = None, eye: tuple[float, float] = render.EYE,
+    box: tuple[np.ndarray, np.ndarray] | None = None,
+) -> str:  # fmt: skip
     """Draw some fields in space, each in a view of its own (one rank).
 
     Args:
@@ -29,17 +33,21 @@ def draw_views(page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[s
         places: Where each view goes: parts of a grid.
         patch: Triangles or tetrahedra, with levels.
         scales: Colours of each field.
-        kind: `graph`, `surface` or `solid`.
+        kind: `graph`, `surface`, `solid` or `body`.
         label: Name of the third axis.
+        facets: Of a body, the triangles that show the pressure.
+        eye: Azimuth and elevation, degrees.
+        box: Lower and upper corner of the part that is drawn; by default everything.
 
     Returns:
         Who drew it, and why.
     """
     arrays = {**patch.fields, "points": patch.points, "cells": patch.cells}
+    arrays |= {} if facets is None else {"facets": facets}
     if kind == "graph":
         patch = _graph(patch)
         arrays["seen"] = patch.points[:, 2]
-    lower, upper = patch.points.min(axis=0), patch.points.max(axis=0)
+    lower, upper = box or (patch.points.min(axis=0), patch.points.max(axis=0))
     if kind == "solid":
         lower[1] = cut_at(patch)
     if kind == "graph":
@@ -53,7 +61,7 @@ def draw_views(page: Any, places: Sequence[Any], patch: Patch, scales: Mapping[s
     if kind == "graph":
         scale[2] = HEIGHT / size[2]
     views = [
-        View(kind, name, shown.cmap.name, shown.get_clim(), lower.tolist(), upper.tolist(), scale.tolist())
+        View(kind, name, shown.cmap.name, shown.get_clim(), lower.tolist(), upper.tolist(), scale.tolist(), eye)
         for name, shown in scales.items()
     ]
     pictures, who = render.rendered(arrays, views)
@@ -87,7 +95,7 @@ def _box(page: Any, place: Any, view: View, label: str) -> Any:
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     with rc_context({"grid.color": "0.9", "grid.linewidth": 0.7}):
-        axis = page.add_subplot(place, projection="3d", proj_type="ortho", azim=render.AZIMUTH, elev=render.ELEVATION)
+        axis = page.add_subplot(place, projection="3d", proj_type="ortho", azim=view.eye[0], elev=view.eye[1])
     axis.computed_zorder = False
     axis.set_box_aspect((np.array(view.upper) - view.lower) * view.scale, zoom=ZOOM[view.kind])
     limits = list(zip(view.lower, view.upper, strict=True))
@@ -117,7 +125,7 @@ def _put(axis: Any, view: View, picture: np.ndarray) -> None:
         return np.array(proj_transform(*point, axis.get_proj())[:2], dtype=float)
 
     middle = projected(view.centre)
-    _, up, _ = render.axes_of_view()
+    _, up, _ = render.axes_of_view(view.eye)
     half = np.linalg.norm(projected(view.centre + up * view.half / np.array(view.scale)) - middle)
     (left, bottom), (right, top) = middle - half, middle + half
     axis.imshow(picture, extent=(left, right, bottom, top), aspect="auto", zorder=3, interpolation="antialiased",
@@ -129,11 +137,13 @@ def _paint(axis: Any, patch: Patch, view: View, scale: Any) -> None:
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
     cells = patch.cells
-    if view.kind == "solid":
-        cells = rim(cells[patch.points[cells, 1].mean(axis=1) >= view.lower[1]])
-    colours = scale.to_rgba(patch.fields[view.shown][cells].mean(axis=1))
+    if view.kind in ("solid", "body"):
+        middles = patch.points[cells].mean(axis=1)
+        cells = rim(cells[np.all((middles >= view.lower) & (middles <= view.upper), axis=1)])
+    values = patch.fields[view.shown][cells].mean(axis=1)
+    colours = scale.to_rgba(values)
     if view.shown == "pressure":
-        apart = ~np.any(patch.fields["contact"][cells] > 0, axis=1)
+        apart = ~np.any(patch.fields["contact"][cells] > 0, axis=1) | np.isnan(values)
         colours[apart] = _rgba(render.FREE, render.CLEAR if view.kind == "graph" else 1.0)
     parts = [(patch.points[cells], colours)]
     for side in SIDES if view.kind == "graph" else ():
