@@ -301,6 +301,14 @@ def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
         space = bc.function_space
         if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
             raise InputError(f"{place}: bcs[{number}] is of another space than u: take u.function_space for it")
+        nodes, dofs = V.dofmap.index_map, np.asarray(bc.dof_indices()[0])
+        beyond = dofs[(dofs < 0) | (dofs >= (nodes.size_local + nodes.num_ghosts) * V.dofmap.index_map_bs)]
+        if len(beyond) > 0:
+            raise InputError(
+                f"{place}: bcs[{number}] has the dof {beyond[0]}, which u does not have: dirichletbc takes dofs as "
+                "locate_dofs_topological returns them for the same space; for vector-valued u they are numbers of "
+                "nodes, and one component is in the space u.function_space.sub(k)"
+            )
     return list(given)
 
 
