@@ -79,12 +79,10 @@ class Solved:
 
     Attributes:
         outcome: Of the iteration.
-        method: With eps.
         state: The fields.
     """
 
     outcome: Outcome
-    method: Method
     state: State
 
 
@@ -376,7 +374,7 @@ class ObstacleProblem:
             self._estimator = self._bounds()
         found = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
-        figures = output_quantities(problem, method, found.method.eps, found.state, name=self.name)
+        figures = output_quantities(problem, method, found.outcome.eps, found.state, name=self.name)
         spent = time.perf_counter() - started + self._setup_seconds
         record = {**figures, **course_of(found.outcome, Seconds(spent, 0.0, spent), level.comm)}
         certified = self._estimator.bound() if bound and self._estimator is not None else None
@@ -430,9 +428,9 @@ class ObstacleProblem:
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
-        if options.eps == "auto" and way.eps is not None:
-            self._eps = way.eps  # so that the next solve gives the same solution
-        return Solved(outcome, way, state)
+        if options.eps == "auto" and outcome.eps is not None:
+            self._eps = outcome.eps  # so that the next solve gives the same solution
+        return Solved(outcome, state)
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
