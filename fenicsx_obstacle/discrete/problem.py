@@ -186,6 +186,10 @@ class Problem:
         """The nearest values of u between the obstacles, ghosts included."""
         return np.clip(u_values, *self.obstacles())
 
+    def in_components(self, u_values: np.ndarray) -> np.ndarray:
+        """Values of u, ghosts included, in the components of w."""
+        return u_values
+
     def in_q(self, values: np.ndarray) -> fem.Function:
         """Values at owned points of I as a Function of Q_h (collective)."""
         return in_q(self.level, values)

@@ -29,10 +29,12 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.residual_form import ResidualForm, expanded
+from fenicsx_obstacle.solvers.newton import diagonal_of
 from fenicsx_obstacle.text import one_line, shown
 
 NEARBY = 0.01  # of u: so far from the start an energy is compared with F
 ROUND_OFF = 1e-12  # of the largest entry of a matrix
+CURVATURE = 1e-10  # of the sum of A_ii s_i^2: less is round-off
 OTHER = 0.1  # of F: no quadrature of the same functional is so far off
 
 
@@ -228,6 +230,31 @@ def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> 
             f"{place}: the derivative of F has negative entries on its diagonal, at "
             f"{_some_of(nodes, form.u.function_space)}: has a term or a coefficient the wrong sign there? "
             f"a(v, v) must be positive.{drift}"
+        )
+
+
+def warn_of_indefinite(problem: Problem, form: ResidualForm | None, place: str) -> None:
+    """Warn if a(s, s) < 0 for the difference s between u and a cold start, where F = a(u, v) - f(v) is symmetric
+    (collective).
+
+    Args:
+        problem: At a solution.
+        form: The form of the caller, or None.
+        place: What messages call the problem.
+    """
+    if form is None or not (problem.affine and problem.symmetric):
+        return
+    comm, own = problem.level.comm, problem.level.owned
+    s = problem.w.x.array + problem.reference.x.array - problem.in_components(problem.cold_start())
+    s[problem.data.fixed[0]] = 0.0
+    forces = problem.forms.forces_at(s) - problem.forms.forces_at(0.0)
+    curvature, size = (total(comm, one) for one in (s[:own] * forces, diagonal_of(problem) * s[:own] ** 2))
+    if curvature < -CURVATURE * size and comm.rank == 0:
+        warnings.warn(
+            f"{place}: F = a(u, v) - f(v) is not positive definite: a(s, s) = {curvature:.3g} for the difference s "
+            "between u and a cold start, so that u is no minimum of an energy, and other solutions may exist: has a "
+            "term the wrong sign?",
+            stacklevel=5,
         )
 
 

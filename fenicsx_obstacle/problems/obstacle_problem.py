@@ -46,6 +46,7 @@ from fenicsx_obstacle.problems.input_checks import (
     refuse_not_finite,
     vertex_digests,
     warn_of_conditions,
+    warn_of_indefinite,
 )
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.residual_form import ResidualForm
@@ -103,6 +104,8 @@ class ObstacleProblem:
       starts from u, so that a loop over time or load steps may call it repeatedly.
     - Initial guess. If F is linear and symmetric, and u is constant or a bad initial guess, the problem is first solved
       on algebraic coarse levels.
+    - Symmetric F that is not positive definite. A warning says so where the solution shows it: u is then no minimum of
+      an energy, and need not be the only solution.
     - Mesh. The mesh must not move. After a move create a new ObstacleProblem.
 
     Attributes:
@@ -426,6 +429,7 @@ class ObstacleProblem:
                 refuse_not_finite(problem, self._form, self.name)
                 problem.set_reference(self.u.x.array.copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
+            warn_of_indefinite(problem, self._form, self.name)
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
         if options.eps == "auto" and outcome.eps is not None:
