@@ -140,7 +140,14 @@ class PenaltySolve:
         )  # fmt: skip
 
     def _once(self, problem: Problem, eps: float, tolerance: float, how: dict[str, Any]) -> Outcome:
-        found = solve_penalty(problem, eps * self.share, successive=self.successive, tolerance=tolerance, **how)
+        try:
+            found = solve_penalty(problem, eps * self.share, successive=self.successive, tolerance=tolerance, **how)
+        except NotConverged as error:
+            if problem.affine or not self.automatic or error.eps is None:
+                raise
+            # the first eps is that of the stiffness at the start, and may be far too large: a larger one is no remedy
+            remedy = f"eps = 'auto' was {eps:.3g}: start from another u, or take the method vi"
+            raise error.changed(eps=None, reason=f"{error.reason}; {remedy}") from None
         return replace(found, eps=eps)
 
 
