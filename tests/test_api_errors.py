@@ -474,3 +474,17 @@ def test_a_single_part_of_the_boundary():
     data = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "load": -1}
     one, more = (Scene(**data, boundary=boundary) for boundary in ({"value": 0.1}, [{"value": 0.1}]))
     assert one.toml() == more.toml()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_conditions_on_components_of_nodes(dim):
+    """dirichletbc takes numbers of nodes for vector-valued u; twice unrolled they are beyond all dofs."""
+    mesh = (dmesh.create_unit_square(COMM, 4, 4), dmesh.create_unit_cube(COMM, 2, 2, 2))[dim - 2]
+    V = functionspace(mesh, "Lagrange", 1, dim)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    nodes = np.arange(V.dofmap.index_map.size_local, dtype=np.int32)
+    unrolled = np.concatenate([dim * nodes + k for k in range(dim)]).astype(np.int32)
+    bc = fem.dirichletbc(fem.Function(V), unrolled)
+    with pytest.raises(InputError, match=r"bcs\[0\] has the dof \d+, which u does not have.* numbers of nodes"):
+        ObstacleProblem(F, u, bcs=[bc], upper=0.0, of=u[0], measure=ufl.ds)

@@ -8,7 +8,7 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, ObstacleProblem, PenetrationWarning, Scene, solve
+from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, PenetrationWarning, Scene, solve
 from fenicsx_obstacle.algebra.penalty_parameter import PENETRATION
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import functionspace
@@ -158,6 +158,17 @@ def test_scenes_with_power_laws_and_large_loads(exponent, load):
     exact = solve(scene.change({"solve.method": "vi"})).record
     assert found["penetration"] <= PENETRATION * 0.05
     assert found["contact"]["upper"]["force"] == pytest.approx(exact["contact"]["upper"]["force"], rel=0.01)
+
+
+@pytest.mark.parametrize("load", [10.0, 30.0])
+@pytest.mark.parametrize("dim", [1, 2])
+def test_the_remedy_where_nothing_converges(dim, load):
+    """A film beyond its limit load has no solution. Nobody gave an eps, and a larger one is no remedy."""
+    form = Form(dim, 8, lambda u, x: 1 / ufl.sqrt(1 + ufl.inner(ufl.grad(u), ufl.grad(u))), load)
+    with pytest.raises(NotConverged) as caught:
+        form.problem(lower=-1.0).solve()
+    assert "larger eps" not in str(caught.value)
+    assert "start from another u, or take the method vi" in str(caught.value)
 
 
 @pytest.mark.parametrize("kind", ["vinewtonssls", "newtonls"])

@@ -6,6 +6,7 @@ linear problem of (3.4)* on the present active set.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import reduce
 from typing import Any
 
@@ -182,10 +183,10 @@ def _attempt(
 
 def joined(first: Outcome, second: Outcome) -> Outcome:
     """One outcome of two attempts; the history of one without a step has nothing new."""
-    return Outcome(
-        first.solver, first.iterations + second.iterations, first.krylov + second.krylov,
-        first.history + (second.history if second.iterations else ()), first.seconds + second.seconds, second.reason,
-        second.roundoff_limited, second.active,
+    return replace(
+        second, solver=first.solver, iterations=first.iterations + second.iterations,
+        krylov=first.krylov + second.krylov, history=first.history + (second.history if second.iterations else ()),
+        seconds=first.seconds + second.seconds,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ its solution, for scenes, forms, bodies and steps in time alike.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,25 +81,23 @@ def _share_of_compliance(problem: System) -> float:
     return problem.eps_share * float(np.median(everywhere))
 
 
+@dataclass(frozen=True)
 class PenaltySolve:
     """`solve_penalty`, with a check of eps at the solution.
 
     Attributes:
-        eps: Penalty parameter in units of u/p; after a solve with "auto" the one that fits its solution.
+        eps: Of the first solve, in units of u/p. Each step in time begins with it, and depends on its start alone.
+        share: Of a step in time, as for `Method`.
+        automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
+        successive: As for `solve_penalty`.
+        source: What messages call the problem.
     """
 
-    def __init__(self, eps: float, share: float, *, automatic: bool, successive: bool, source: str):
-        """Prepare.
-
-        Args:
-            eps: Of the first solve, in units of u/p.
-            share: Of a step in time, as for `Method`.
-            automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
-            successive: As for `solve_penalty`.
-            source: What messages call the problem.
-        """
-        self.eps, self._first, self._share = eps, eps, share
-        self._automatic, self._successive, self._source = automatic, successive, source
+    eps: float
+    share: float
+    automatic: bool
+    successive: bool
+    source: str
 
     def __call__(self, problem: System, *, tolerance: float = TOLERANCE, **how: Any) -> Outcome:
         """Solve from the present state (collective).
@@ -109,38 +108,47 @@ class PenaltySolve:
                 not checked.
             **how: As for `solve_penalty`.
 
+        Returns:
+            The outcome, with the eps that fits its solution.
+
         Raises:
             NotConverged: With PETSc's reason, or if no eps is found that fits its solution.
         """
-        self.eps = self._first  # each step in time depends on its start alone
-        outcome = self._once(problem, tolerance, how)
-        if tolerance >= LIMIT or not self._automatic:
+        eps = self.eps
+        outcome = self._once(problem, eps, tolerance, how)
+        if tolerance >= LIMIT or not self.automatic:
             if tolerance < LIMIT and (found := large_penetration(problem)) and problem.comm.rank == 0:
-                warnings.warn(f"{self._source} {found}", PenetrationWarning, stacklevel=2)
+                warnings.warn(f"{self.source} {found}", PenetrationWarning, stacklevel=2)
             return outcome
         how = {**how, "patience": None, "least": 0}
         for _ in range(MOST_SOLVES):
-            fitting = fitting_eps(problem, self.eps)
-            if fitting >= self.eps:
+            fitting = fitting_eps(problem, eps)
+            if fitting >= eps:
                 return outcome
             if not problem.affine:
-                fitting = max(fitting, LOWERED * self.eps)
-            if (fitting := max(fitting, smallest_eps(problem))) >= self.eps:
+                fitting = max(fitting, LOWERED * eps)
+            if (fitting := max(fitting, smallest_eps(problem))) >= eps:
                 break
-            _lift(problem, fitting / self.eps)
-            self.eps = fitting
-            outcome = joined(outcome, self._once(problem, tolerance, how))
+            _lift(problem, fitting / eps)
+            eps = fitting
+            outcome = joined(outcome, self._once(problem, eps, tolerance, how))
         raise NotConverged(
             outcome.solver,
-            f"eps = 'auto' found no eps that fits the solution, down to {self.eps:.2g}; "
+            f"eps = 'auto' found no eps that fits the solution, down to {eps:.2g}; "
             "take the method vi, or give eps as a number",
             outcome.iterations, eps=None, h=problem.h,
         )  # fmt: skip
 
-    def _once(self, problem: System, tolerance: float, how: dict[str, Any]) -> Outcome:
-        return solve_penalty(
-            problem, self.eps * self._share, successive=self._successive, tolerance=tolerance, **how
-        )  # fmt: skip
+    def _once(self, problem: System, eps: float, tolerance: float, how: dict[str, Any]) -> Outcome:
+        try:
+            found = solve_penalty(problem, eps * self.share, successive=self.successive, tolerance=tolerance, **how)
+        except NotConverged as error:
+            if problem.affine or not self.automatic or error.eps is None:
+                raise
+            # the first eps is that of the stiffness at the start, and may be far too large: a larger one is no remedy
+            remedy = f"eps = 'auto' was {eps:.3g}: start from another u, or take the method vi"
+            raise error.changed(eps=None, reason=f"{error.reason}; {remedy}") from None
+        return replace(found, eps=eps)
 
 
 def penetration_and_range(problem: System) -> tuple[float, float]:

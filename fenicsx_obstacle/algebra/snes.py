@@ -46,6 +46,7 @@ class Outcome:
         reason: PETSc's reason.
         roundoff_limited: Balance was only reached up to the round-off of w.
         active: Which obstacle holds each owned node, as in `Stopping.before`.
+        eps: Penalty parameter of the solution in units of u/p; None without a penalty.
     """
 
     solver: str
@@ -56,6 +57,7 @@ class Outcome:
     reason: int
     roundoff_limited: bool = False
     active: np.ndarray | None = None
+    eps: float | None = None
 
     @property
     def converged(self) -> bool:

@@ -184,7 +184,7 @@ def solve_system(
         outcome = way.solve(system)
     pressure = way.pressure(system)
     return SystemSolution(
-        system.u, pressure, -np.sign(pressure).astype(np.int8), way.eps, outcome.iterations, outcome.krylov,
+        system.u, pressure, -np.sign(pressure).astype(np.int8), outcome.eps, outcome.iterations, outcome.krylov,
         tuple(level.dofs for level in levels), outcome.history,
     )  # fmt: skip
 

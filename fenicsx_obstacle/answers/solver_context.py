@@ -238,7 +238,7 @@ class SolverContext:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
-        answer = self._answer(options, last, counts, method, state, seconds, certified, time_history)
+        answer = self._answer(options, last, counts, state, seconds, certified, time_history)
         if uncertainty:
             record = {**answer.record, "uncertainty": self._uncertainty(answer, grids, options, solved=solved)}
             answer = replace(answer, record=record)
@@ -359,13 +359,12 @@ class SolverContext:
         options: SolverOptions,
         outcome: Outcome,
         counts: dict[str, Any],
-        method: Method,
         state: State,
         seconds: float,
         bound: Bound | None,
         time_history: TimeHistory | None,
     ) -> Answer:
-        problem, level, scene, eps = self.problem, self.problem.level, self.scene, method.eps
+        problem, level, scene, eps = self.problem, self.problem.level, self.scene, outcome.eps
         seconds += self.setup_seconds
         tables = scene.tables
         figures = output_quantities(

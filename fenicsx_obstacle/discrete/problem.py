@@ -178,6 +178,10 @@ class Problem(System):
         assert isinstance(self.law, Nodal)
         return self.law
 
+    def in_components(self, u_values: np.ndarray) -> np.ndarray:
+        """Values of u in the components of w."""
+        return u_values
+
     def in_q(self, values: np.ndarray) -> fem.Function:
         """Values at owned points of I as a Function of Q_h (collective)."""
         return in_q(self.level, values)

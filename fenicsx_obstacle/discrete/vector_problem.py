@@ -154,7 +154,10 @@ class VectorProblem(RigidMotions, Problem):
         return contact.rotated(np.clip(contact.rotated(u_values), *self.obstacles()))
 
     def set_reference(self, u_values: np.ndarray) -> None:
-        super().set_reference(self.data.contact.rotated(u_values))
+        super().set_reference(self.in_components(u_values))
+
+    def in_components(self, u_values: np.ndarray) -> np.ndarray:
+        return self.data.contact.rotated(u_values)
 
     def solution(self) -> fem.Function:
         u = super().solution()

@@ -20,6 +20,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_tags import check_both_sides, check_tags
@@ -33,6 +34,7 @@ from fenicsx_obstacle.text import one_line, shown
 
 NEARBY = 0.01  # of u: so far from the start an energy is compared with F
 ROUND_OFF = 1e-12  # of the largest entry of a matrix
+CURVATURE = 1e-10  # of the sum of A_ii s_i^2: less is round-off
 OTHER = 0.1  # of F: no quadrature of the same functional is so far off
 
 
@@ -231,6 +233,30 @@ def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> 
         )
 
 
+def warn_of_indefinite(problem: Problem, form: ResidualForm | None, place: str) -> None:
+    """Warn if a(s, s) < 0 for the difference s between u and a cold start, where F = a(u, v) - f(v) is symmetric
+    (collective).
+
+    Args:
+        problem: At a solution.
+        form: The form of the caller, or None.
+        place: What messages call the problem.
+    """
+    if form is None or not (problem.affine and problem.symmetric):
+        return
+    comm = problem.comm
+    s = np.where(problem.fixed, 0.0, problem.u - problem.in_components(problem.cold_start()))
+    forces = problem.law.forces_at(s) - problem.law.forces_at(0.0)
+    curvature, size = (total(comm, one) for one in (s * forces, diagonal_of(problem) * s**2))
+    if curvature < -CURVATURE * size and comm.rank == 0:
+        warnings.warn(
+            f"{place}: F = a(u, v) - f(v) is not positive definite: a(s, s) = {curvature:.3g} for the difference s "
+            "between u and a cold start, so that u is no minimum of an energy, and other solutions may exist: has a "
+            "term the wrong sign?",
+            stacklevel=5,
+        )
+
+
 def _zero(place: str) -> InputError:
     return InputError(f"{place} with respect to u is zero: F must depend on u, as a(u, v) - f(v) does")
 
@@ -301,6 +327,14 @@ def conditions(bcs: Any, V: fem.FunctionSpace, place: str) -> list[Any]:
         space = bc.function_space
         if not V._cpp_object.contains(getattr(space, "_cpp_object", space)):
             raise InputError(f"{place}: bcs[{number}] is of another space than u: take u.function_space for it")
+        nodes, dofs = V.dofmap.index_map, np.asarray(bc.dof_indices()[0])
+        beyond = dofs[(dofs < 0) | (dofs >= (nodes.size_local + nodes.num_ghosts) * V.dofmap.index_map_bs)]
+        if len(beyond) > 0:
+            raise InputError(
+                f"{place}: bcs[{number}] has the dof {beyond[0]}, which u does not have: dirichletbc takes dofs as "
+                "locate_dofs_topological returns them for the same space; for vector-valued u they are numbers of "
+                "nodes, and one component is in the space u.function_space.sub(k)"
+            )
     return list(given)
 
 

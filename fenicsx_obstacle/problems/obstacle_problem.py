@@ -57,6 +57,7 @@ from fenicsx_obstacle.problems.input_checks import (
     refuse_not_finite,
     vertex_digests,
     warn_of_conditions,
+    warn_of_indefinite,
 )
 from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
 from fenicsx_obstacle.problems.residual_form import ResidualForm
@@ -80,12 +81,10 @@ class Solved:
 
     Attributes:
         outcome: Of the iteration.
-        method: With eps.
         state: The fields.
     """
 
     outcome: Outcome
-    method: Method
     state: State
 
 
@@ -106,6 +105,8 @@ class ObstacleProblem:
       starts from u, so that a loop over time or load steps may call it repeatedly.
     - Initial guess. If F is linear and symmetric, and u is constant or a bad initial guess, the problem is first solved
       on algebraic coarse levels.
+    - Symmetric F that is not positive definite. A warning says so where the solution shows it: u is then no minimum of
+      an energy, and need not be the only solution.
     - Mesh. The mesh must not move. After a move create a new ObstacleProblem.
 
     Attributes:
@@ -377,7 +378,7 @@ class ObstacleProblem:
             self._estimator = self._bounds()
         found = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
-        figures = output_quantities(problem, method, found.method.eps, found.state, name=self.name)
+        figures = output_quantities(problem, method, found.outcome.eps, found.state, name=self.name)
         spent = time.perf_counter() - started + self._setup_seconds
         record = {**figures, **course_of(found.outcome, Seconds(spent, 0.0, spent), level.comm)}
         certified = self._estimator.bound() if bound and self._estimator is not None else None
@@ -429,11 +430,12 @@ class ObstacleProblem:
                 refuse_not_finite(problem, self._form, self.name)
                 problem.set_reference(self.u.x.array[: problem.owned].copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
+            warn_of_indefinite(problem, self._form, self.name)
             state = state_of(problem, way)
         self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
-        if options.eps == "auto" and way.eps is not None:
-            self._eps = way.eps  # so that the next solve gives the same solution
-        return Solved(outcome, way, state)
+        if options.eps == "auto" and outcome.eps is not None:
+            self._eps = outcome.eps  # so that the next solve gives the same solution
+        return Solved(outcome, state)
 
     def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
         """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""

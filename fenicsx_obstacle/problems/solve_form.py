@@ -41,7 +41,7 @@ class _OneSolve(ObstacleProblem):
         method = "vi" if eps is None else "penalty"
         found = self._solved("auto" if eps is None else eps, method, TOLERANCE, None)
         outcome, state = found.outcome, found.state
-        return FormAnswer(self.u, state.pressure, state.contact, outcome.iterations, outcome.history, found.method.eps)
+        return FormAnswer(self.u, state.pressure, state.contact, outcome.iterations, outcome.history, outcome.eps)
 
 
 def solve_form(
