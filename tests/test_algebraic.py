@@ -84,6 +84,7 @@ def difference(one, other):
     return largest(COMM, np.abs(u - v)) / (largest(COMM, u) + largest(COMM, -u))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "eps"), [("penalty", "auto"), ("penalty", 1e-12), ("vi", "auto")])
 def test_counts_do_not_grow_when_h_halves(method, eps):
     """O(1) Newton steps on a mesh that has no coarser one, from 1.7e3 to 2.6e4 unknowns."""
@@ -93,6 +94,7 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
     assert newton[-1] - newton[0] <= 2
 
 
+@pytest.mark.slow
 def test_a_mesh_from_gmsh(folder):
     """Delaunay triangles: few steps, and the error of the exact solution halves with h."""
 
@@ -202,6 +204,7 @@ def test_given_values_are_interpolated_from_given_values():
         assert total(COMM, coarse.weights) == pytest.approx(total(COMM, problem.weights))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_counts_are_those_of_one_rank(method):
     """The coarse nodes and the Newton steps do not depend on the ranks; Krylov iterations hardly do.
@@ -273,6 +276,7 @@ def test_a_slit():
     assert largest(COMM, u[tip]) - -largest(COMM, -u[tip]) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [1, 2])
 def test_own_form(degree):
     """From u = 0 on coarse levels, later from u; with coefficients that change, and the answers of a new problem."""

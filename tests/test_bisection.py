@@ -121,6 +121,7 @@ def test_other_cells_are_refused():
         levels.refined_where(level, np.ones(own_cells(level.mesh), dtype=bool))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "penalty"))
 def test_solves_go_on_from_the_coarser_mesh(ball, method):
     """Nested iteration on local meshes: a few steps on each, and the answer that a cold solve finds."""

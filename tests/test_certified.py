@@ -236,6 +236,7 @@ def test_parts_that_meet():
     assert bounded(boundary=SIDES).bound.guaranteed
 
 
+@pytest.mark.slow
 def test_tolerances_say_what_they_rest_on():
     """The line on the tolerance: nothing more if it is certified, the polygon, or 'by an indicator only'."""
     for data, words in (
@@ -247,6 +248,7 @@ def test_tolerances_say_what_they_rest_on():
         assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
 
 
+@pytest.mark.slow
 def test_words_are_the_same_on_any_number_of_ranks():
     """All ranks say the same, and the same as one."""
     for data in ({"load": "where(x < 0.51, 1, 2)"}, {"load": "1/(x - 0.503)"}, {"load": "exp(x)", "mesh": DISK}):

@@ -182,6 +182,7 @@ def test_an_interval_below_an_upper_obstacle(far):
     assert answer.report["force"] == pytest.approx(-3.158, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_gaps_are_infinite_without_an_obstacle(folder):
     """In the solution, along lines, and in saved files; the picture is drawn."""
     answer = solve(where_far("1e20"))

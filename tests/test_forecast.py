@@ -50,6 +50,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "element", "goal", "unknowns"), slow_except(CASES, CASES[5]))
 def test_unknowns_and_memory(name, element, goal, unknowns):
     """A refinement is cut at a sixth of its unknowns, in space and with P2 at a third, and continued to a tolerance

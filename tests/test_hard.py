@@ -61,6 +61,7 @@ def test_scene(name):
     assert all(row["monotone"] is (name != "floating") for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["perturbed", "obtuse"])
 def test_scene_without_maximum_principle(name):
     """The program knows that its matrix is no M-matrix, claims less, and what it claims holds."""

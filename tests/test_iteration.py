@@ -37,6 +37,7 @@ def sheared(by):
     return mesh
 
 
+@pytest.mark.slow
 def test_statement():
     """(3.4)*: the step is linear, sets are nested, the example cycles."""
     findings = [*linear_step(COMM), *nesting(COMM), *cycle()]

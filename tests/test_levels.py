@@ -141,6 +141,7 @@ def gmsh_square(path, order=1, recombine=False):
     gmsh.finalize()
 
 
+@pytest.mark.slow
 def test_gmsh_names(folder):
     """Physical names are what [[boundary]] on means; refinement keeps them."""
     on_root(COMM, gmsh_square, folder / "square.msh")
@@ -167,6 +168,7 @@ def test_parts_of_a_file_halved_several_times(folder):
         assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
 
 
+@pytest.mark.slow
 def test_broken_mesh_files(folder):
     on_root(COMM, gmsh_square, folder / "quads.msh", 1, True)
 
@@ -309,6 +311,7 @@ def test_curve_that_is_not_in_the_mesh(folder):
         solve(scene.change({"mesh.file": str(folder / "doubled.geo")}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", slow_except([0, 1], 0))
 def test_cylinder_surface_is_periodic(refine):
     """No seam at theta = pi: u = z and u = cos(theta) are found up to the polygon, whose triangles lean a little."""

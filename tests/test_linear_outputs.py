@@ -59,6 +59,7 @@ def test_the_norm_of_the_functional_is_sharp():
     assert math.sqrt(1 / 12) <= factor <= 1.02 * math.sqrt(1 / 12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "foundation"), [("P1", 3.0), ("P1", 0.0), ("P2", 0.0)])
 def test_sums_of_integrals(element, foundation):
     """Values of a known u: factors, signs, constants, definitions and polynomial weights."""

@@ -150,6 +150,7 @@ def test_each_part_of_a_mesh_is_held():
     assert (low, high) == pytest.approx((-3.1, 0), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["vi", "penalty"])
 @pytest.mark.parametrize("load", ["0", "where(x < 0.5, -1, 1)"])
 def test_a_load_without_sum_needs_contact_forces(load, method):
@@ -447,6 +448,7 @@ def test_no_film_reaches_a_far_obstacle(load, far, method):
         solve(Scene(mesh=SQUARE, large_slope=1, load=-load, lower=-far), method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 @pytest.mark.parametrize(
     "mesh", [ROUND, {"mesh": {"shape": "disk"}, "boundary": [{"value": 0}]}], ids=["axial", "disk"]

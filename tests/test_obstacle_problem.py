@@ -623,6 +623,7 @@ def test_meshes_that_are_none():
         ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cell", "degree"), [(TRIANGLE, 1), (QUADRILATERAL, 2)])
 def test_obstacles_with_several_values_at_a_node(cell, degree):
     """The derivative of a Function, or a size of cells, is an obstacle where it has one value at each node; otherwise

@@ -256,6 +256,7 @@ def test_one_node_in_contact_keeps_its_line():
     assert measure(line) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", slow_except(["interval", "rectangle", "disk", "box"], "disk"))
 def test_every_shape_has_a_picture(shape, folder, monkeypatch):
     """By matplotlib alone; pyvista's turn comes below."""
@@ -334,6 +335,7 @@ def test_pyvista_draws_where_it_is(ball, folder):
     assert said.endswith("drawn by pyvista")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ending", "begins"), slow_except([("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")], ("pdf", b"%PDF"))
 )
@@ -353,6 +355,7 @@ def test_a_picture_that_cannot_be_written(disk, folder):
         answer.plot(folder / "disk.doc")
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):

@@ -44,6 +44,7 @@ def test_along_a_named_curve():
     assert np.abs(found.u).max() < 1e-12 and np.allclose(np.diff(found.s), found.s[1], rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_files_page_and_time(folder):
     """A table with a line for each point and moment, a plot, and the plot on the page."""
     scene = membrane(load="-8*t", lower=-0.05, profile=LINE, time={"end": 1, "steps": 2})
@@ -59,6 +60,7 @@ def test_files_page_and_time(folder):
     assert "Profiles" in (folder / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_rows_of_a_study(folder):
     """Each row has the columns of its profiles; they are drawn over one another."""
     scene = membrane(load=-8, lower="-depth", define={"depth": 0.1}, profile=LINE)
@@ -82,6 +84,7 @@ def test_round_off_is_not_magnified():
     assert not above.patches and not below.patches  # nothing is shaded as contact
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_plot_along(folder):
     """`plot RESULT --along` writes a picture and the table; a line that leaves the mesh is a mistake."""
@@ -137,6 +140,7 @@ def test_journal_bearing_along_its_middle():
     assert np.abs(found.u - FILM).max() < 0.005 * 3.175
 
 
+@pytest.mark.slow
 def test_formulas_of_comparison(folder):
     """Columns of the formulas in table and rows, drawn dotted; with time at each moment."""
     table = {**LINE["line"], "compare": {"u": "-t*x", "p": "depth"}}
@@ -158,6 +162,7 @@ PRESSED = [{"on": "left", "value": [0, "free"]}, {"on": "bottom", "value": ["fre
            {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 0.99]}}]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_body_along_lines(folder):
     """A block pressed by 0.01 with Poisson's ratio 0: u_y = -0.01 y, p = 0.01, von Mises stress 0.01; the formula."""
     lines = {"top": {"on": "top", "n": 9, "compare": {"p": "0.01"}}, "inside": {"from": [0.5, 0], "to": [0.5, 1]}}
