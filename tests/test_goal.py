@@ -64,6 +64,7 @@ def test_digits(value, error, words):
     assert with_error(value, error) == words
 
 
+@pytest.mark.slow
 def test_penalty_is_small_beside_the_mesh():
     """The volume of `nsv` at the tolerance where the parts of mesh and penalty cancelled: the estimate is near the true
     error, int (r^2 - a^2)^2 over the part r > a = 0.7 of the square, since eps is lowered on the same mesh."""

@@ -154,6 +154,7 @@ def test_gmsh_names(folder):
         solve(scene.change({"boundary": [{"on": "flor", "value": 0}]}))
 
 
+@pytest.mark.slow
 def test_parts_of_a_file_halved_several_times(folder):
     """Named parts of the boundary keep their length, materials their cells."""
     on_root(COMM, gmsh_square, folder / "square.msh")
@@ -293,6 +294,7 @@ def test_interior_curve(halves, refine):
     assert np.isclose(answer.report["length"], 1)
 
 
+@pytest.mark.slow
 def test_curve_that_is_not_in_the_mesh(folder):
     """A curve beside the surface, and an entity in two groups, are refused with a reason."""
     loose = GEO + "Point(90) = {0.1, 0.2, 0}; Point(91) = {0.3, 0.2, 0}; Line(99) = {90, 91};\n"

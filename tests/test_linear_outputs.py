@@ -143,6 +143,7 @@ def test_sampled_data_are_named():
     assert outputs(answer)["volume"]["words"] == "estimated for the sampled load"
 
 
+@pytest.mark.slow
 def test_adaptive_meshes():
     """With a tolerance the errors hold on the last mesh."""
     scene = Scene(mesh={**SQUARE, "cells": 8}, tension=1, load=LOAD, foundation=3, report={"volume": "integral(u)"})

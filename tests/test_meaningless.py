@@ -291,6 +291,7 @@ def test_drift_that_is_only_strong_is_solved(eps):
     assert extremes(solve(string_in_a_trap(eps))) == pytest.approx((0, float(most)), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_contact_makes_a_nearly_singular_operator_regular():
     """Held by an obstacle u is well determined, whatever the operator is without it."""
     scene = string_in_a_trap(0.05, upper=1)
@@ -432,6 +433,7 @@ def test_no_film_beyond_its_limit_load(load, unit, method):
         solve(scene, method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", slow_except([1.5, 1.9, 1.99], 1.9))
 def test_films_below_their_limit_load(load):
     """Up to the limit the film is a cap of a sphere of radius 2/load."""
@@ -464,6 +466,7 @@ def test_no_film_falls_so_far(load, cells, mesh, method):
     assert low == pytest.approx(-0.3, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_films_that_obstacles_hold():
     """Near obstacles carry what the film does not; concentrated forces draw a string to any depth."""
     low, _ = extremes(solve(Scene(mesh=SQUARE, large_slope=1, load=-5, lower=-0.1), method="vi"))

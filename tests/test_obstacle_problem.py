@@ -236,6 +236,7 @@ def test_what_is_linear_is_found_out():
         assert ResidualForm(F=F, u=u).symmetric == symmetric
 
 
+@pytest.mark.slow
 def test_jacobian_of_ones_own():
     """A derivative that leaves out a small term: more steps, the same solution."""
     own = Membrane()
@@ -359,6 +360,7 @@ def test_forms_on_a_part_of_the_mesh(degree, nonlinear):
         ObstacleProblem(mass, own.u, upper=own.g)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cell", "degree", "cells"), [("quadrilateral", 1, 2), ("triangle", 2, 1)])
 @pytest.mark.parametrize("eps", [1e-3, "auto"])
 def test_forms_on_facets_do_not_reach_the_inside(cell, degree, cells, eps):
@@ -406,6 +408,7 @@ def test_terms_over_tags_that_nothing_has():
                 ObstacleProblem(own.F - own.f * v * measure((3, 5)), own.u, bcs=own.bc, upper=own.g)
 
 
+@pytest.mark.slow
 def test_forms_on_all_parts_of_the_mesh():
     """Integrals over all materials, one by one, are those over the mesh; so are those over all facets and their
     cells."""
@@ -569,6 +572,7 @@ assert not [name for name in sys.modules if name.startswith("fenicsx_obstacle.sc
 """
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_without_scenes(tmp_path):
     """Built, solved, saved, read and drawn where the package has no scenes."""

@@ -190,6 +190,7 @@ def test_closed_forms_on_tetrahedra(kind):
     assert replace(given, **other).error(field)[0] > 2 * errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["cube", "fichera", "prism", "random points"])
 def test_solids_are_filled(shape):
     """Meshes have the volume of their domain, and so have the pieces of their cells up to those that are omitted."""
