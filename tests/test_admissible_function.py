@@ -163,6 +163,7 @@ def test_boundary_values_reach_facets_with_obstacles(value, certified):
     assert solve(scene, bound=True, eps=1e-8).bound.guaranteed == certified
 
 
+@pytest.mark.slow
 def test_far_apart_values_of_an_obstacle():
     """-1e20 for 'no obstacle' beside values that count: the bound is no smaller than with -1e3 (once 3.9 and 3239)."""
     totals = []

@@ -264,6 +264,7 @@ def test_ranks_without_cells():
     assert counts(solve(scene))[0] <= 6
 
 
+@pytest.mark.slow
 def test_a_slit():
     """Nodes at one place are different nodes: u jumps across the slit, and takes few steps to be found."""
     scene = Scene(mesh=by_hand(*grid(64, slit=True)), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
@@ -302,6 +303,7 @@ def test_own_form(degree):
         assert again.iterations <= 11  # five from u, should it be a bad start
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0, 1])
 def test_in_time(rate):
     """Levels keep step with loads, obstacles and masses that change."""
@@ -336,6 +338,7 @@ def test_without_a_compiler(monkeypatch):
     assert difference(ours, cold) <= 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_the_loops_are_compiled_once(tmp_path, monkeypatch):
     """Into the cache of DOLFINx's forms; what is there already is taken."""

@@ -89,6 +89,7 @@ def test_an_obstacle_of_any_kind_is_the_same_obstacle(made):
     assert largest(COMM, np.abs(own.values(upper=made(own)) - expected)) < (1e-12 if exact else coarse_p1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_another_mesh_in_space():
     """The same in three dimensions, for a lower obstacle, on hexahedra as well."""
     own = Own(dmesh.create_unit_cube(COMM, 4, 4, 4), load=-8.0)

@@ -82,6 +82,7 @@ def test_names_are_inherited():
             assert np.isclose(extent(level, level.facets[name]), 1.0)
 
 
+@pytest.mark.slow
 def test_angles_stay_bounded():
     """Right triangles are cut into right triangles, however often: 45 degrees at least."""
     corner = corners(refined(COMM, MESHES["rectangle"], times=7).mesh)

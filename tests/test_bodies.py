@@ -197,6 +197,7 @@ def test_boxes(kind):
         assert np.allclose(pressed, force, atol=1e-7 * abs(force[-1]))
 
 
+@pytest.mark.slow
 def test_nodes_without_an_obstacle(folder):
     """Beside a box gaps are infinite: at nodes, along the boundary, and in a saved answer."""
     answer = solve(block(8, [*ROLLERS, {"on": "top", "obstacle": {"box": [1, 1], "centre": [0, 1.49]}}]))
@@ -297,6 +298,7 @@ def test_force_over_travel_of_a_sphere():
     assert np.allclose(force, 4 / 3 * np.sqrt(20) * travel**1.5, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
     scene = block(4, report={"pushed": "integral(p, 'top')", "up": "min(u_y)", "most": "max(von_mises)"})

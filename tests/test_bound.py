@@ -234,6 +234,7 @@ def test_units_and_heights_change_nothing():
     assert np.isclose(plain.total, high.total, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_it_does_not_know_is_said():
     """Other effects: an indicator; curved domains: for the polygon; values that jump, other elements: an error."""
     bound = solve(membrane(load=1, upper=0.05, drift=[5, 0]), bound=True).bound

@@ -100,6 +100,7 @@ def test_foundations_of_any_stiffness(stiff):
     assert error <= answer.bound.total <= 8 * error
 
 
+@pytest.mark.slow
 def test_load_and_springs_along_a_curve_inside(folder):
     """A wire across a square, [du/dn] = 3 - 4 u: certified, above the error and near it."""
     if COMM.rank == 0:

@@ -208,6 +208,7 @@ def test_wedge_at_its_vertex():
             assert abs(slope([row["h"] for row in rows], [row[key] for row in rows]) - expected) < 0.05
 
 
+@pytest.mark.slow
 def test_forces_of_measures():
     """The whole force: F - 2 c at the tip of the wedge, 2 pi B along the edge of the ring."""
     wedge = solve(catalogue.scene("string_wedge"), method="vi").record

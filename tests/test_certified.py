@@ -43,6 +43,7 @@ def distance_from_finer(coarse, cells=64):
         return distance(fine.problem, u - coarse.at(fine.problem.level.points.T))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize("contrast", slow_except([2, 1e3, 1e6], 2))
 @pytest.mark.parametrize("place", slow_except([0.503, 0.6251], 0.503))
@@ -224,6 +225,7 @@ def test_continuous_boundary_values_pass(value):
     assert "boundary_jump" not in answer.record
 
 
+@pytest.mark.slow
 def test_parts_that_meet():
     """Two parts with different values at their common node: rejected; with the same, or apart: not."""
     for other, jumps in (("0", False), ("x*(1 - x)", False), ("1", True), ("1 + x", True)):

@@ -53,6 +53,7 @@ TITLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(TITLES, *list(TITLES)[:2]))
 def test_titles_are_drawn_and_printed_in_one_line(name, folder):
     """Any title and name of u: a picture, a page without its markup, a first line without control characters."""

@@ -171,6 +171,7 @@ def test_budget_of_nothing(folder, monkeypatch):
     assert len(words) == 3 and all("all errors are smaller" in text for text in words)
 
 
+@pytest.mark.slow
 def test_peak_memory_begins_anew():
     before = forget_peak_memory(COMM)
     large = np.ones(20_000_000)

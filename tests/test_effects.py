@@ -48,6 +48,7 @@ def check_orders(scene, method, **how):
 SMOOTH = "sin(x)*cosh(y) + x^2"  # -Laplace u = -2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_flux_and_springs(method):
     """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone, on meshes
@@ -112,6 +113,7 @@ def wire(folder):
     return Scene(**raw, exact="where(x < 0.5, x, 1 - x)/2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_load_and_springs_along_a_curve_inside(wire, method):
     """[du/dn] = 2 - 4 u at x = 1/2: u = x/2 up to there, linear, hence exact; and a ceiling that it does not reach."""
@@ -352,6 +354,7 @@ def test_string_that_ends_on_a_stop(method):
     assert record["contact"]["upper"]["force"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_wire_below_a_membrane(wire, method):
     """A thin obstacle along a curve inside: u = x^2/2 - 0.35 x up to it, its force 0.3 per length."""

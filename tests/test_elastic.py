@@ -390,6 +390,7 @@ def test_large_strains():
     assert np.isclose(forces[True], exact, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_forces_of_large_strains():
     """The residual of another state is that of the forms, not of the last matrix; the state stays."""
     body = Box(6, large=True)
@@ -591,6 +592,7 @@ def test_free_motions_are_named(dim, given, words):
         held(dim, **given).solve()
 
 
+@pytest.mark.slow
 def test_half_models_hold_a_body():
     for dim, hold in ((2, [LEFT]), (3, [LEFT, BACK])):
         assert np.isclose(held(dim, hold=hold).solve().force.lower, 2.0, rtol=1e-8)

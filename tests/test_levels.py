@@ -250,6 +250,7 @@ def halves(folder):
     return lambda **given: Scene(**{"mesh": {"file": str(folder / "halves.geo")}, "boundary": ends, **given})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", slow_except([0, 1, 2], 1))
 def test_materials(halves, refine):
     """Two springs in a row: the same force in both, u linear in each; refined cells keep their material."""

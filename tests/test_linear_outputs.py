@@ -37,6 +37,7 @@ def test_string_over_an_obstacle(cells, eps):
     assert "twice" not in found  # a quotient of integrals is not linear
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", ["auto", "h"])
 @pytest.mark.parametrize("name", slow_except(catalogue.names(), "ball", "string_wedge"))
 def test_scenes_with_exact_solutions(name, eps):

@@ -252,6 +252,7 @@ def string_in_a_trap(eps, load=1, n=1000, force=1.0, **more):
     return Scene(mesh={"shape": "interval", "cells": n}, **effects, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", slow_except([1e-8, 1.0, 1e8], 1.0))
 @pytest.mark.parametrize("eps", slow_except([0.08, 0.06, 0.05], 0.06))
 def test_nearly_singular_drift_is_rejected(eps, force):
@@ -271,6 +272,7 @@ def test_nearly_singular_drift_is_found_where_u_is_small(n, eps):
         solve(string_in_a_trap(eps, "sin(2*pi*x)", n))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", slow_except([0.5, 0.2, 0.15], 0.2))
 def test_drift_that_is_only_strong_is_solved(eps):
     """u at the nodes is that of the same differences, solved with 50 digits."""

@@ -230,6 +230,7 @@ def _vertices(corners):
     return "".join("vertex " + " ".join(f"{x:g}" for x in one) + "\n" for one in corners)
 
 
+@pytest.mark.slow
 def test_saved_result_is_solved_again_elsewhere(files):
     """The file is copied beside the scene; arrays are kept in an archive."""
     first = solve(Scene.read(in_file(files, scene_text(FILES["png"]))))

@@ -383,6 +383,7 @@ BOXES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOXES)
 def test_bodies_of_a_step_file_that_touch_share_nodes(folder, name):
     boxes, common = BOXES[name]

@@ -162,6 +162,7 @@ def fixed_dofs(bc, V):
     return dofs[dofs < V.dofmap.index_map.size_local]
 
 
+@pytest.mark.slow
 def test_a_loop_over_loads_is_a_loop():
     """Constants, Functions, boundary values and obstacles that change are taken anew: the same as new problems."""
     own = Membrane()
@@ -707,6 +708,7 @@ def test_common_mistakes():
 HOW = [{}, {"method": "vi"}, {"eps": 1e-4}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", HOW)
 def test_a_wrong_sign_is_found_by_every_method(how):
     """Also a coefficient that changes: a negative and an infinite one, and one that is negative in some cells."""
@@ -746,6 +748,7 @@ def test_forms_that_are_nonlinear_may_be_concave_at_the_start():
         ObstacleProblem(small + v / u * ufl.dx, u, bcs=own.bc, upper=0.8).solve()
 
 
+@pytest.mark.slow
 def test_an_infinite_obstacle_gets_a_remedy():
     """Infinity means 'no obstacle here' with one sign only."""
     own = Membrane(cells=4)

@@ -75,6 +75,7 @@ def test_the_same_by_names_and_by_functions(element):
         assert np.allclose(found, first, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_names_are_the_tags_by_default():
     own = Own(8)
     by_number = own.scene(
@@ -110,6 +111,7 @@ def test_time_with_callables():
     assert np.allclose(one.time_history.column("force_lower"), other.time_history.column("force_lower"), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_changed_and_saved(folder):
     """`change` keeps objects and tags; a saved answer is read, and says what its file has not."""
     own = Own(8)
@@ -141,6 +143,7 @@ def parts_of(level):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "cell"), [("P1", "triangle"), ("P2", "triangle"), ("Q1", "quadrilateral")])
 def test_named_parts_are_saved(element, cell, folder):
     """Named facets and cells are read with the answer, by all ranks or by one, and the scene of the folder knows them.

@@ -129,6 +129,7 @@ def test_estimates_from_samples_are_near_the_bound(name):
         assert context.estimator.bound().total == bound.total
 
 
+@pytest.mark.slow
 def test_the_last_mesh_has_a_bound():
     """On the meshes before it the error is estimated, unless there is a budget."""
     answer = solve(quadratic("ball"), tol=5e-3)

@@ -301,6 +301,7 @@ def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
     assert np.count_nonzero((left[..., 0] > 0.3) & (left[..., 1] < 0.2)) > 5000  # contact in dark red, in space too
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "why"),
     slow_except(
@@ -320,6 +321,7 @@ def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
     assert solve(disk, cells=4).plot(folder / "disk.png").said.endswith(f"drawn by matplotlib, because {why}")
 
 
+@pytest.mark.slow
 def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
     """VTK's process would otherwise take itself for one of our ranks."""
     code = "import os, sys; sys.exit(' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean')"

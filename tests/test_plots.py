@@ -102,6 +102,7 @@ def test_a_sweep_plots_the_figures_of_the_report(folder):
         assert "<svg" in (folder / "out" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_one_row_has_no_plot(disk, folder):
     _, said = rows_of(disk, {"cells": [4]}, folder)
     if COMM.rank == 0:

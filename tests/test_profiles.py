@@ -33,6 +33,7 @@ def test_known_values(element):
     assert np.allclose(found.slope, [3, 0]) and np.allclose(found.flux, [6, 0])
 
 
+@pytest.mark.slow
 def test_along_a_named_curve():
     """A side by its name, and the closed circle of the disk: points at equal distances, u = 0 there."""
     side = solve(membrane(load=-1, profile={"side": {"on": "top", "n": 5}}))
@@ -180,6 +181,7 @@ def test_a_body_along_lines(folder):
     assert np.allclose(table["p"], table["p_formula"]) and (folder / "profile-inside.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_plot_a_body_along(folder):
     """`plot RESULT --along` of a saved body, with a formula; what `--compare` rejects."""
@@ -199,6 +201,7 @@ def test_plot_a_body_along(folder):
         CliRunner().invoke(commands, ["plot", str(folder), "--compare", "p = 1"], catch_exceptions=False)
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_plot_without_a_scene(folder):
     """`plot` also draws what Solution.save wrote; along a line it names Solution.read, because there is no scene."""

@@ -284,6 +284,7 @@ def test_inclusion(spelling):
     assert errors[0] < 0.19 < 0.2 < errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corner", [(0.0, 0.0), (-0.5, -0.5), (-0.377, -0.613)])
 def test_pole(corner):
     """The energy of r^a, a = 1.7, is that by polar coordinates or on a fine grid; u_h tends to it."""

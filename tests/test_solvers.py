@@ -105,6 +105,7 @@ def test_two_obstacles_keep_their_digits_at_tiny_eps():
     assert largest(COMM, np.abs(penalty.pressure.x.array - vi.pressure.x.array)) < 1e-6
 
 
+@pytest.mark.slow
 def test_petsc_options_override(ball):
     """A user's option under the solver's prefix wins over the default."""
     options = PETSc.Options()
