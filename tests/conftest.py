@@ -48,6 +48,7 @@ def pytest_configure(config: pytest.Config) -> None:
         "markers", "serial: runs on one rank only: it starts processes, has no mesh or needs all scenes"
     )
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
+    config.addinivalue_line("markers", "variant: a case beside the quick ones; runs on one rank, and where it is named")
 
 
 @pytest.hookimpl(trylast=True)
@@ -60,19 +61,19 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--by-file", action="store_true",
-        help="The tests of those files whose name belongs to this number of ranks.",
+        help="The tests of those files whose name belongs to this number of ranks, without variants.",
     )  # fmt: skip
 
 
 def ranks_of(file: Path) -> int:
-    """2 or 3: on how many ranks the tests of a file run, beside one."""
-    return 2 + crc32(file.name.encode()) % 2
+    """2 or 3: on how many ranks the tests of a file run, beside one; a third of the files on 3, which costs most."""
+    return 3 if crc32(file.name.encode()) % 3 == 0 else 2
 
 
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--by-file"):
-        left_out = {item for item in items if ranks_of(item.path) != COMM.size}
+        left_out = {item for item in items if ranks_of(item.path) != COMM.size or "variant" in item.keywords}
         config.hook.pytest_deselected(items=list(left_out))
         items[:] = [item for item in items if item not in left_out]
     if COMM.size > 1:
@@ -151,11 +152,11 @@ def as_version_02(folder: Path) -> None:
 
 
 def slow_except(cases: Iterable[Any], *quick: Any) -> list[Any]:
-    """Cases for `parametrize`, all marked slow but the quick ones."""
+    """Cases for `parametrize`, all but the quick ones marked slow, and as variants of the quick ones."""
     cases = list(cases)
     assert all(one in cases for one in quick), (quick, cases)
     values = [case if type(case) is tuple else (case,) for case in cases]
-    marks = [() if case in quick else pytest.mark.slow for case in cases]
+    marks = [() if case in quick else (pytest.mark.slow, pytest.mark.variant) for case in cases]
     return [pytest.param(*value, marks=mark) for value, mark in zip(values, marks, strict=True)]
 
 

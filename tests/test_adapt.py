@@ -15,6 +15,7 @@ L_SHAPE = Scene(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     slow_except(["ball", "disk_flat", "nsv", "two_obstacle_square", "torsion_disk", "biactive"], "ball"),
@@ -41,6 +42,7 @@ def test_a_saved_tolerance_reads_back(folder):
     assert [mesh.dofs for mesh in again.adaptive.path][-1] == again.dofs == answer.dofs
 
 
+@pytest.mark.slow
 def test_reentrant_corner():
     """L-shape: graded meshes reach an error of .099 of the bound's kind with a fraction of the uniform unknowns."""
     record = solve(L_SHAPE, tol_absolute=0.099).record
@@ -59,6 +61,7 @@ def test_eps_is_lowered_until_the_mesh_decides():
     assert "eps = 0.01 alone contributes" in held.summary()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("budget", ["2000 unknowns", "0.001s", "1 MB"])
 def test_budget(budget):
     """The best answer so far with its bound, and a clear word."""
@@ -70,6 +73,7 @@ def test_budget(budget):
         assert 500 < answer.record["dofs"] <= 2000
 
 
+@pytest.mark.slow
 def test_round_off_ends_refinement():
     """At heights of 1e8 bounds grow with the unknowns from some mesh on: the best mesh is returned, with the reason."""
     scene = Scene(mesh={"shape": "interval", "cells": 16}, tension=1, load=-8, lower=1e8 - 0.3,
@@ -96,6 +100,7 @@ def test_yardstick_keeps_the_answer():
     assert plain["energy"] == pytest.approx(timed["energy"], rel=1e-13)
 
 
+@pytest.mark.slow
 def test_an_indicator_says_so():
     """A drift: the summary does not say 'at most'; a disk: it says that the bound is for its polygon."""
     scene = Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=-4, lower=-0.2)
@@ -128,6 +133,7 @@ def test_mistakes():
     assert Budget.of("90s, 2GB, 1e6 unknowns") == Budget(90.0, 2000.0, 1e6)
 
 
+@pytest.mark.slow
 def test_the_same_on_all_ranks():
     """Meshes, marks and bound do not depend on the number of ranks."""
     from mpi4py import MPI

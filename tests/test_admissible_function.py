@@ -22,6 +22,7 @@ def between(shape, distance, element="P1", lower=WAVE, **more):
     return solve(scene.change({"solve.element": element}), bound=True).bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shape", "element", "more"), [
     ("interval", "P1", {}),
     ("rectangle", "P1", {}),
@@ -52,6 +53,7 @@ def test_obstacles_farther_apart_keep_the_certificate(shape):
     assert between(shape, FAR, lower=f"-1 + {WAVE}").guaranteed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize("cells", [6, 16])
 def test_contact_with_both_obstacles_keeps_the_certificate(element, cells):
@@ -161,6 +163,7 @@ def test_boundary_values_reach_facets_with_obstacles(value, certified):
     assert solve(scene, bound=True, eps=1e-8).bound.guaranteed == certified
 
 
+@pytest.mark.slow
 def test_far_apart_values_of_an_obstacle():
     """-1e20 for 'no obstacle' beside values that count: the bound is no smaller than with -1e3 (once 3.9 and 3239)."""
     totals = []

@@ -86,6 +86,7 @@ def difference(one, other):
     return largest(COMM, np.abs(u - v)) / (largest(COMM, u) + largest(COMM, -u))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "eps"), [("penalty", "auto"), ("penalty", 1e-12), ("vi", "auto")])
 def test_counts_do_not_grow_when_h_halves(method, eps):
     """O(1) Newton steps on a mesh that has no coarser one, from 1.7e3 to 2.6e4 unknowns."""
@@ -95,6 +96,7 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
     assert newton[-1] - newton[0] <= 2
 
 
+@pytest.mark.slow
 def test_a_mesh_from_gmsh(folder):
     """Delaunay triangles: few steps, and the error of the exact solution halves with h."""
 
@@ -204,6 +206,7 @@ def test_given_values_are_interpolated_from_given_values():
         assert total(COMM, coarse.weights) == pytest.approx(total(COMM, problem.weights))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_counts_are_those_of_one_rank(method):
     """The coarse nodes and the Newton steps do not depend on the ranks; Krylov iterations hardly do.
@@ -263,6 +266,7 @@ def test_ranks_without_cells():
     assert counts(solve(scene))[0] <= 6
 
 
+@pytest.mark.slow
 def test_a_slit():
     """Nodes at one place are different nodes: u jumps across the slit, and takes few steps to be found."""
     scene = Scene(mesh=by_hand(*grid(64, slit=True)), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
@@ -275,6 +279,7 @@ def test_a_slit():
     assert largest(COMM, u[tip]) - -largest(COMM, -u[tip]) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [1, 2])
 def test_own_form(degree):
     """From u = 0 on coarse levels, later from u; with coefficients that change, and the answers of a new problem."""
@@ -300,6 +305,7 @@ def test_own_form(degree):
         assert again.iterations <= 11  # five from u, should it be a bad start
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0, 1])
 def test_in_time(rate):
     """Levels keep step with loads, obstacles and masses that change."""
@@ -334,6 +340,7 @@ def test_without_a_compiler(monkeypatch):
     assert difference(ours, cold) <= 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_the_loops_are_compiled_once(tmp_path, monkeypatch):
     """Into the cache of DOLFINx's forms; what is there already is taken."""

@@ -75,6 +75,7 @@ def test_paraview_file_names_every_field(disk, folder):
     assert names == {"u", "pressure", "contact", "upper", "gap", "error"}
 
 
+@pytest.mark.slow
 def test_pyvista_reads_what_is_at_rest(disk, folder):
     """Its reader asks each file for a time."""
     pyvista = pytest.importorskip("pyvista", reason="pyvista is of the extra 'plot'")

@@ -89,6 +89,7 @@ def test_an_obstacle_of_any_kind_is_the_same_obstacle(made):
     assert largest(COMM, np.abs(own.values(upper=made(own)) - expected)) < (1e-12 if exact else coarse_p1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_another_mesh_in_space():
     """The same in three dimensions, for a lower obstacle, on hexahedra as well."""
     own = Own(dmesh.create_unit_cube(COMM, 4, 4, 4), load=-8.0)
@@ -101,6 +102,7 @@ def test_another_mesh_in_space():
         assert found.contact.lower_force > 0 and found.eps is None
 
 
+@pytest.mark.slow
 def test_constants_for_numbers():
     """eps and an obstacle as Constants; a single Dirichlet condition without a list, and none."""
     own = Own()
@@ -347,6 +349,7 @@ def test_unknowns_of_another_space(space):
         solve_form(ufl.inner(u, v) * ufl.dx, u, upper=1.0, eps=1e-3)
 
 
+@pytest.mark.slow
 def test_names_and_files_for_scenes(folder):
     """solve and study take a scene, its file, or its name in the catalogue."""
     scene = Scene.read(on_root(COMM, _written, folder))

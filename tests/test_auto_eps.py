@@ -149,6 +149,7 @@ def test_a_large_given_eps_warns():
 HEAP = {"mesh": {"shape": "interval", "cells": 32}, "upper": 0.05, "boundary": [{"value": 0.0}]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", [1e3, 1e6])
 @pytest.mark.parametrize("exponent", [1.5, 3.0, 3.9])
 def test_scenes_with_power_laws_and_large_loads(exponent, load):

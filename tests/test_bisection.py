@@ -82,6 +82,7 @@ def test_names_are_inherited():
             assert np.isclose(extent(level, level.facets[name]), 1.0)
 
 
+@pytest.mark.slow
 def test_angles_stay_bounded():
     """Right triangles are cut into right triangles, however often: 45 degrees at least."""
     corner = corners(refined(COMM, MESHES["rectangle"], times=7).mesh)
@@ -121,6 +122,7 @@ def test_other_cells_are_refused():
         levels.refined_where(level, np.ones(own_cells(level.mesh), dtype=bool))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "penalty"))
 def test_solves_go_on_from_the_coarser_mesh(ball, method):
     """Nested iteration on local meshes: a few steps on each, and the answer that a cold solve finds."""

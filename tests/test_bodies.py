@@ -80,6 +80,7 @@ def test_patch_in_space(element, cell):
     assert np.allclose(answer.nodes.moment([0.5, 0.5, 0]), 0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_scene_is_its_obstacle_problem():
     """The same form, gap and normals given to ObstacleProblem by hand: the same forces at the nodes, to 1e-9."""
     nodes = solve(block(8), eps=1e-4).nodes
@@ -117,6 +118,7 @@ def test_hertz(name):
     assert abs(report.get("approach_error", 0.0)) < 2e-2
 
 
+@pytest.mark.slow
 def test_contact_of_a_layer_does_not_depend_on_the_load():
     """Without gap and weight the problem is homogeneous: contact length and force over load are the same for all q."""
     layer = Scene.read(DEMOS / "lift_off.toml").change({"mesh.cells": 20})
@@ -127,6 +129,7 @@ def test_contact_of_a_layer_does_not_depend_on_the_load():
     assert np.allclose(100 * small.nodes.forces, large.nodes.forces, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_force_that_is_given():
     """The cylinder moves until it presses with its force, on a body that another plane supports; from the place that
     was found the same force follows."""
@@ -183,6 +186,7 @@ def resultant(kind, obstacle, **more):
     return solve(Scene(**CUBE, boundary=parts, **more)).nodes.resultant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", slow_except(["plane", "space"], "plane"))
 def test_boxes(kind):
     """A wide box is a half-space, a narrow one the gap of its face alone, and it moves until its force is reached."""
@@ -199,6 +203,7 @@ def test_boxes(kind):
         assert np.allclose(pressed, force, atol=1e-7 * abs(force[-1]))
 
 
+@pytest.mark.slow
 def test_nodes_without_an_obstacle(folder):
     """Beside a box gaps are infinite: at nodes, along the boundary, and in a saved answer."""
     answer = solve(block(8, [*ROLLERS, {"on": "top", "obstacle": {"box": [1, 1], "centre": [0, 1.49]}}]))
@@ -210,6 +215,7 @@ def test_nodes_without_an_obstacle(folder):
         assert np.isnan(one.at([0.5, 0.5], "gap"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along", [[], [0.1, 1]])
 def test_a_table_of_heights(along, folder):
     """A cylinder as a table: its force, exactly if the data are at the nodes, else up to the distance of the data."""
@@ -258,6 +264,7 @@ def test_a_surface_of_facets(folder):
         resultant("space", {"stl": {"file": str(folder / "inside_out.stl")}})
 
 
+@pytest.mark.slow
 def test_equilibria_in_time(folder):
     """Poisson's ratio 0: under a plane that moves by d(t), beside a pull q(t) at the side and a value v(t), each row is
     the exact equilibrium p = E (d + v)/(1 + eps E), u_x = q/E; it is saved and read."""
@@ -332,6 +339,7 @@ def test_force_over_travel_of_a_sphere():
     assert np.allclose(force, 4 / 3 * np.sqrt(20) * travel**1.5, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
     scene = block(4, report={"pushed": "integral(p, 'top')", "up": "min(u_y)", "most": "max(von_mises)"})
@@ -350,6 +358,7 @@ def test_saved_and_read(folder):
         compare(answer, again)
 
 
+@pytest.mark.slow
 def test_studies_and_searches():
     """A study over a number of [define], and the value of it for which a quantity reaches its target."""
     obstacle = {"cylinder": 2, "centre": [0, "3 - depth"]}
@@ -530,6 +539,7 @@ def test_scripts(name, words, tmp_path):
         assert np.isclose(*numbers, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_contact_narrower_than_the_cells(folder):
     """Fewer than three nodes in contact: half-width and peak are null, with a remark; finer meshes have them."""
     pressed = {"on": "top", "obstacle": {"cylinder": 2, "centre": [0.53, 3.1], "force": 0.005, "moves": [0, -1]}}
@@ -566,6 +576,7 @@ def test_nodes_across_a_contact(count, places):
     assert _nodes_across(arms, np.full(len(arms), 0.01), places.shape[1]) == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "method"), [("P1", "penalty"), ("P2", "vi"), ("Q2", "penalty")])
 def test_separate_contacts(element, method):
     """Two stamps on one side and one on another: each patch has the forces and the peak of its nodes, whatever the
@@ -598,6 +609,7 @@ def test_no_contact_has_no_patches():
     assert answer.record["contact"]["patches"] == [] and "  contact at" not in answer.summary()
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("places", "name"),

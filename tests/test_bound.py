@@ -86,6 +86,7 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
     return found
 
 
+@pytest.mark.slow
 def test_the_flux_is_in_balance():
     """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed patches close."""
     for name, perturb in itertools.product(("ball", "two_obstacle_square", "free side"), (0.0, 0.3)):
@@ -146,6 +147,7 @@ def test_parts_tell_what_to_do():
         assert 0.8 < total(COMM, fine.indicator) / fine.total < 1.2
 
 
+@pytest.mark.slow
 def test_admissible_state_is_admissible():
     """v_h is beyond the true obstacle nowhere, sampled at 192 points of each cell, and keeps the boundary values."""
     for name in ("ball", "two_obstacle_square", "smooth_square", "cone"):
@@ -163,6 +165,7 @@ def test_admissible_state_is_admissible():
         assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
 
 
+@pytest.mark.slow
 def test_peaks_between_nodes_are_not_overlooked():
     """Eight periods on sixteen cells are zero at all nodes; the solution on a mesh that sees them is far off."""
     wavy = "0.3 - 2*((x - 1/2)^2 + (y - 1/2)^2) + 0.05*sin(16*pi*x)*cos(16*pi*y)"
@@ -231,6 +234,7 @@ def test_units_and_heights_change_nothing():
     assert np.isclose(plain.total, high.total, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_it_does_not_know_is_said():
     """Other effects: an indicator; curved domains: for the polygon; values that jump, other elements: an error."""
     bound = solve(membrane(load=1, upper=0.05, drift=[5, 0]), bound=True).bound

@@ -61,6 +61,7 @@ def test_the_flux_on_tetrahedra_is_in_balance():
     context.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("exact", "data", "effectivity"),
     [

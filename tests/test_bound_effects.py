@@ -100,6 +100,7 @@ def test_foundations_of_any_stiffness(stiff):
     assert error <= answer.bound.total <= 8 * error
 
 
+@pytest.mark.slow
 def test_load_and_springs_along_a_curve_inside(folder):
     """A wire across a square, [du/dn] = 3 - 4 u: certified, above the error and near it."""
     if COMM.rank == 0:
@@ -112,6 +113,7 @@ def test_load_and_springs_along_a_curve_inside(folder):
     assert answer.record["errors"]["energy"] <= answer.bound.total <= 2 * answer.record["errors"]["energy"]
 
 
+@pytest.mark.slow
 def test_a_tolerance_with_springs():
     """Adaptive meshes: the bound of a scene with all of them reaches its tolerance, and holds."""
     answer = solve(SCENES["contact on a foundation"].change({"mesh.cells": 4}), tol=0.05)

@@ -43,6 +43,7 @@ def test_multiples_of_the_identity(load):
     assert number.words == matrix.words == CERTIFIED
 
 
+@pytest.mark.slow
 def test_a_jump_inside_cells():
     """Where the axes of the tension jump inside cells the lower bound of the energy does not exceed the energy on a
     mesh that follows the jump, and the upper bound is not below it."""

@@ -38,6 +38,7 @@ def test_own_poisson_equals_the_scene(eps):
     assert largest(COMM, answer.pressure.x.array) <= 0
 
 
+@pytest.mark.slow
 def test_nonlinear_residual():
     """A minimal surface over a bump: no formula of ours, safeguarded by its energy; p >= 0 and complementary."""
     V, bc = square()
@@ -101,6 +102,7 @@ def test_compare_on_one_mesh():
     assert compare(vi, vi)["contact"] == {"jaccard": 1.0, "hausdorff": 0.0, "area": [vi.record["contact"]["area"]] * 2}
 
 
+@pytest.mark.slow
 def test_compare_on_two_meshes():
     """A coarse answer against a finer one: about the coarse error, in both orders of the arguments."""
     scene = Scene.read(DEMOS / "ball.toml")

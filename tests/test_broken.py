@@ -55,6 +55,7 @@ def test_cases_of_each_kind(folder):
     assert not [f"{case.name}: {what}" for case, what in zip(cases, wrong, strict=True) if what is not None]
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [1, 3])
 def test_a_process_of_its_own(ranks, tmp_path):

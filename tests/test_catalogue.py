@@ -189,6 +189,7 @@ def test_rates(name, method):
         assert abs(seen - claimed) <= RATE_MARGIN, f"{key}: {seen:.3f}, claimed {claimed}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WIDE)
 def test_order_1_from_above(name):
     """Contact up to the boundary: the penalty's part of the H1 error, of order 3/2, shows on all grids of this test."""
@@ -197,6 +198,7 @@ def test_order_1_from_above(name):
     assert 1 < seen[-1] < seen[-2] < 1.5
 
 
+@pytest.mark.slow
 def test_wedge_at_its_vertex():
     """Point contact at a vertex: SNES VI is exact at all vertices, the penalty is off by eps p there, p = F/h."""
     vi, penalty = (errors_of("string_wedge")[method] for method in ("vi", "penalty"))
@@ -206,6 +208,7 @@ def test_wedge_at_its_vertex():
             assert abs(slope([row["h"] for row in rows], [row[key] for row in rows]) - expected) < 0.05
 
 
+@pytest.mark.slow
 def test_forces_of_measures():
     """The whole force: F - 2 c at the tip of the wedge, 2 pi B along the edge of the ring."""
     wedge = solve(catalogue.scene("string_wedge"), method="vi").record

@@ -43,6 +43,7 @@ def distance_from_finer(coarse, cells=64):
         return distance(fine.problem, u - coarse.at(fine.problem.level.points.T))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize("contrast", slow_except([2, 1e3, 1e6], 2))
 @pytest.mark.parametrize("place", slow_except([0.503, 0.6251], 0.503))
@@ -224,6 +225,7 @@ def test_continuous_boundary_values_pass(value):
     assert "boundary_jump" not in answer.record
 
 
+@pytest.mark.slow
 def test_parts_that_meet():
     """Two parts with different values at their common node: rejected; with the same, or apart: not."""
     for other, jumps in (("0", False), ("x*(1 - x)", False), ("1", True), ("1 + x", True)):
@@ -236,6 +238,7 @@ def test_parts_that_meet():
     assert bounded(boundary=SIDES).bound.guaranteed
 
 
+@pytest.mark.slow
 def test_tolerances_say_what_they_rest_on():
     """The line on the tolerance: nothing more if it is certified, the polygon, or 'by an indicator only'."""
     for data, words in (
@@ -247,6 +250,7 @@ def test_tolerances_say_what_they_rest_on():
         assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
 
 
+@pytest.mark.slow
 def test_words_are_the_same_on_any_number_of_ranks():
     """All ranks say the same, and the same as one."""
     for data in ({"load": "where(x < 0.51, 1, 2)"}, {"load": "1/(x - 0.503)"}, {"load": "exp(x)", "mesh": DISK}):

@@ -96,6 +96,7 @@ def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
         assert sorted(tmp_path.iterdir()) == before, arguments  # no empty out/
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranks", slow_except([1, 2], 2))
 def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
     limit = ["--start", "cold", "--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
@@ -124,6 +125,7 @@ def test_a_failing_rank_ends_all():
     assert time.monotonic() - start < 30
 
 
+@pytest.mark.slow
 def test_a_failing_test_on_one_rank_fails_on_all(tmp_path):
     """The test-suite itself: no hang, and rank 0 reports what rank 1 met."""
     (tmp_path / "conftest.py").write_text((DEMOS.parent / "tests" / "conftest.py").read_text())
@@ -136,6 +138,7 @@ def test_a_failing_test_on_one_rank_fails_on_all(tmp_path):
     assert "only here" in done.stdout
 
 
+@pytest.mark.slow
 def test_json_on_standard_output_is_nothing_else(tmp_path):
     done = run("solve", DEMOS / "string.toml", "--json", "-", "--output", tmp_path / "out", ranks=2)
     assert json.loads(done.stdout)["scene"] == "string"
@@ -174,6 +177,7 @@ def test_killed_while_compiling_does_not_block_the_next_run(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(["disk", "ball", "two_sided", "string"], "disk"))
 def test_explain(name):
     done = run("explain", DEMOS / f"{name}.toml")
@@ -205,6 +209,7 @@ def test_help_imports_nothing_heavy():
     assert "solve" in said
 
 
+@pytest.mark.slow
 def test_a_solve_loads_nothing_to_draw_with(tmp_path):
     """A scene is solved, saved and summarised in about a second: drawing libraries alone take longer to load.
 
@@ -215,6 +220,7 @@ def test_a_solve_loads_nothing_to_draw_with(tmp_path):
     assert "./obstacle plot" in said
 
 
+@pytest.mark.slow
 def test_the_library_loads_no_suites():
     """All public names, and a solve from Python, without the suites that only `theory` and `hard` need."""
     code = (
@@ -228,6 +234,7 @@ def test_the_library_loads_no_suites():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_one_added_line(tmp_path):
     """The demo for somebody else's code runs as it stands, under plain mpirun."""
     command = [*mpirun(2), sys.executable, str(DEMOS / "one_added_line.py")]
@@ -256,6 +263,7 @@ def test_ranges_need_positive_ends():
         values_of("0..3", "cells")
 
 
+@pytest.mark.slow
 def test_60_lines_become_3():
     """The blocks of the page, the second one after the first, run as they stand and print the same force."""
     page = (DEMOS / "your_60_lines_become_3.md").read_text()
@@ -288,6 +296,7 @@ def test_compare_and_free_boundary(tmp_path):
     assert run("compare", tmp_path / "32", tmp_path / "nothing").returncode == 2
 
 
+@pytest.mark.slow
 def test_files_of_others_stay(tmp_path):
     """A result never removes what it did not write, and a bad folder is refused before anything is computed."""
     (tmp_path / "out").mkdir()

@@ -30,6 +30,7 @@ SCENES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_norms_are_those_of_the_mesh(name):
     """On one mesh the sum over points is the integral: of slopes wherever the tension is linear in a cell, of heights

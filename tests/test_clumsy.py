@@ -53,6 +53,7 @@ TITLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(TITLES, *list(TITLES)[:2]))
 def test_titles_are_drawn_and_printed_in_one_line(name, folder):
     """Any title and name of u: a picture, a page without its markup, a first line without control characters."""
@@ -191,6 +192,7 @@ def launched(ranks, *arguments, **options):
     return subprocess.run([LAUNCHER, *ranked, *map(str, arguments)], text=True, check=False, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_status_4_reaches_the_shell(ranks, tmp_path):
@@ -204,6 +206,7 @@ def test_status_4_reaches_the_shell(ranks, tmp_path):
     assert json.loads((tmp_path / "answer.json").read_text())["adaptive"]["reached"] is False
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("arguments", "words"),
@@ -219,6 +222,7 @@ def test_rejected_input_has_the_last_word_on_two_ranks(arguments, words, tmp_pat
     assert not [path for path in tmp_path.iterdir() if path.is_file()]
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
 @pytest.mark.parametrize("ranks", [1, 2])
@@ -235,6 +239,7 @@ def test_a_full_standard_output_is_told_at_the_end(ranks, json_too, tmp_path):
         assert (tmp_path / name).exists()
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("arguments", [["--help"], ["scenes"], ["solve", "ball", "--cells", "4"]])
 @pytest.mark.parametrize("how", ["full", "closed pipe", "none"])
@@ -252,6 +257,7 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
     assert done.stderr.count("\n") == (how != "none"), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

@@ -77,6 +77,7 @@ def test_errors_below_the_reference_are_left_out():
     assert len(price.curves([first, *line("a", 0.5)], "energy")[0].rows) == 3
 
 
+@pytest.mark.slow
 def test_contact_of_exact_solutions():
     """Cells that the free boundary crosses are halved until area and force of the ball, pi a^2 and 2 pi A, are right to
     1e-6; of a string, which leaves its obstacle like d^2, to the root of the round-off of heights."""
@@ -170,6 +171,7 @@ def test_budget_of_nothing(folder, monkeypatch):
     assert len(words) == 3 and all("all errors are smaller" in text for text in words)
 
 
+@pytest.mark.slow
 def test_peak_memory_begins_anew():
     before = forget_peak_memory(COMM)
     large = np.ones(20_000_000)

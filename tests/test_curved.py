@@ -57,6 +57,7 @@ def test_roller(kind, a_over_h, method, folder):
     assert np.all(np.abs(errors) < 2e-3), errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_points_at_the_surface(name, folder):
     """Nodes of P2 on the boundary of a CAD disk and ball are on it to 1e-12, on a refined mesh too; all others, and

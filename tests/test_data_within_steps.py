@@ -65,6 +65,7 @@ PULSES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", slow_except(["euler", "bdf2"], "euler"))
 @pytest.mark.parametrize("kind", PULSES)
 def test_pulses(kind, scheme):
@@ -76,6 +77,7 @@ def test_pulses(kind, scheme):
     assert "remarks" not in answer.record
 
 
+@pytest.mark.slow
 def test_oscillation():
     """A load that is 0 at the ends of all first steps, whose length is its period."""
     answer = solve(scene(0.35, 7, load="-100*sin(40*pi*t)"))
@@ -84,6 +86,7 @@ def test_oscillation():
     )
 
 
+@pytest.mark.slow
 def test_data_that_cause_no_shorter_steps():
     """Data that do not depend on t, or are monotone in a step: the steps are those of the error estimate alone."""
     for data in ({"load": -20}, {"load": "where(t > 0.2, -20, 0)"}, {"load": "-20*t"}, {"lower": "-1 + 2*t^2"}):
@@ -91,6 +94,7 @@ def test_data_that_cause_no_shorter_steps():
         assert record["time"]["shortened"] == 0 and "remarks" not in record
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["", " + 0*x"])  # the same number everywhere, or one at each node
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_obstacles_that_u_does_not_reach(sign, place):
@@ -106,12 +110,14 @@ def test_obstacles_that_u_does_not_reach(sign, place):
         assert (record["time"]["shortened"] > 0) == touches
 
 
+@pytest.mark.slow
 def test_steps_of_smooth_data():
     """Where the error estimate has chosen the steps, smooth data shorten few of them."""
     time = solve(scene(1, 100, load="-50*sin(2*pi*t)", lower="-0.3 + 0.2*sin(2*pi*t)*sin(pi*x)")).record["time"]
     assert time["shortened"] <= 0.05 * time["steps"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.1, 0.005])
 def test_callables_are_sampled(dt):
     """Data without bounds are sampled 8 times in a step, and 4 times in a time of end/steps; a remark says so."""

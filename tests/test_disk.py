@@ -17,6 +17,7 @@ from tests.conftest import CLEAN
 pytestmark = pytest.mark.serial
 
 
+@pytest.mark.slow
 def test_files_that_may_not_grow(tmp_path):
     """A solve over an earlier answer: one message, and nothing has changed."""
     command = COMMANDS["solve"]
@@ -56,6 +57,7 @@ def test_a_file_that_cannot_be_written_leaves_the_earlier_one(tmp_path):
     assert os.listdir(tmp_path) == ["a"]
 
 
+@pytest.mark.slow
 def test_interrupts(tmp_path):
     """Ctrl-C on one rank and on two: one line at most, and no process is left."""
     assert [fault.wrong for fault in interrupts(tmp_path, CLEAN, 1)] == ["", ""]

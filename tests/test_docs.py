@@ -185,6 +185,7 @@ def keys_of(record):
                 yield from keys_of(part)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

@@ -48,6 +48,7 @@ def check_orders(scene, method, **how):
 SMOOTH = "sin(x)*cosh(y) + x^2"  # -Laplace u = -2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_flux_and_springs(method):
     """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone, on meshes
@@ -112,6 +113,7 @@ def wire(folder):
     return Scene(**raw, exact="where(x < 0.5, x, 1 - x)/2")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_load_and_springs_along_a_curve_inside(wire, method):
     """[du/dn] = 2 - 4 u at x = 1/2: u = x/2 up to there, linear, hence exact; and a ceiling that it does not reach."""
@@ -183,6 +185,7 @@ SOFT = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 @pytest.mark.parametrize("hard", slow_except([-1, -0.015], -1))
 def test_string_on_soft_ground(method, hard):
@@ -199,6 +202,7 @@ def test_string_on_soft_ground(method, hard):
         assert np.isclose(fine["report"]["middle"], 1 + STIFF * hard, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_soft_obstacle(method):
     """In two dimensions, its height and stiffness formulas: orders of the membrane alone."""
@@ -222,6 +226,7 @@ def test_tables_of_effects_are_checked():
         solve(membrane(foundation=1), element="P1-voronoi")
 
 
+@pytest.mark.slow
 def test_demos_of_support():
     """Bed and stamp: the bed's force is the stamp's and the wall's. Foam: the closed form of the string."""
     report = solve(Scene.read(DEMOS / "stamp.toml"), cells=32).report
@@ -233,6 +238,7 @@ CLOTH = [["2 + x", 0.5], [0.5, 1]]
 BENT = "-((2 + x)*(2 - sin(x)*cosh(y)) + cos(x)*cosh(y) + 2*x + cos(x)*sinh(y) + sin(x)*cosh(y))"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_anisotropic_tension(method):
     """-div(A grad u) with a matrix that varies: orders of the membrane alone, in the few steps of multigrid."""
@@ -321,6 +327,7 @@ WALL = {"on": "right", "lower": f"{SMOOTH} - 20*max(abs(y - 0.5) - 0.25, 0)^2",
         "flux": f"cos(x)*cosh(y) + 2*x - {WALL_P}"}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_obstacle_on_the_boundary(method):
     """Signorini's problem, tension du/dn = flux + p with u >= lower on one side: orders of the membrane alone."""
@@ -347,6 +354,7 @@ def test_string_that_ends_on_a_stop(method):
     assert record["contact"]["upper"]["force"] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_wire_below_a_membrane(wire, method):
     """A thin obstacle along a curve inside: u = x^2/2 - 0.35 x up to it, its force 0.3 per length."""
@@ -468,6 +476,7 @@ CARRIED = "(7 + 5*y)*(cos(x)*cosh(y) + 2*x) - 5*x*sin(x)*sinh(y)"  # (7 + 5 y, -
 WIND = ["7 + 5*y", "-5*x"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_drift(method):
     """Cells with Pe < 1: Galerkin's method, orders of the membrane alone."""
@@ -476,6 +485,7 @@ def test_drift(method):
     assert 0 < solve(scene, method=method, cells=32).record["peclet"] < 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_drift_alone_almost(method):
     """Pe > 10: drift, load and foundation lean alike, so that order 2 stays where nothing is touched."""
@@ -549,6 +559,7 @@ def test_catenoid(method):
     assert solve(scene, method=method, cells=64).record["newton_iterations"] <= 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 @pytest.mark.parametrize("exponent", slow_except([1.5, 3], 3))
 def test_power_law(exponent, method):
@@ -582,6 +593,7 @@ def test_slopes_that_mean_nothing():
         solve(Scene(mesh={"shape": "rectangle", "cells": 4}, large_slope=1), element="P2", bound=True)
 
 
+@pytest.mark.slow
 def test_demo_soap():
     """A film between a ring and a round plate is a catenoid r = a cosh(...): it pulls on the plate with 2 pi a.
 
@@ -653,6 +665,7 @@ def test_an_effect_that_is_not_named_changes_nothing(disk):
         del _register["unnamed"]
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_only_what_is_named_is_imported():
     """Modules of effects, of their data and of pictures: after a solve, only those of the scene."""
@@ -797,6 +810,7 @@ def moving_load(tmp_path):
     del _register["moving_load"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("moving_load")
 def test_one_class_is_a_whole_effect():
     """What others ask of an effect, its class answers: values, other units, weights of a pair's own, conflicts."""

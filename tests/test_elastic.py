@@ -168,6 +168,7 @@ def test_ball_in_space():
     assert np.isclose(1 / RADIUS, a**2 / RADIUS * (1 - 4 * a / (3 * np.pi * DEPTH)), rtol=2e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_flat_punch(method):
     """A load far away presses the body on a flat punch of half-width 1: the resultant is the load to 1e-9, and p is
@@ -217,6 +218,7 @@ def _errors(cell, degree, count):
     return [np.sqrt(COMM.allreduce(fem.assemble_scalar(releases.form(one)))) for one in squares]
 
 
+@pytest.mark.slow
 def test_ball():
     """Hertz, axial symmetry, by the factor r of the measure: a, p0 and the approach a^2/R within 0.5 %, after the
     body's own 4 a/(3 pi DEPTH); on the axis, where D_i = 0, p is extrapolated to within 1 %."""
@@ -276,6 +278,7 @@ def test_picture(dim, folder):
         assert "von Mises stress" in labels and "contact pressure" in labels
 
 
+@pytest.mark.slow
 def test_order_in_eps():
     """On a fixed mesh the force differs from that of the variational inequality by O(eps), down to eps = 1e-10."""
     body = Hertz(cells=16, degree=1)
@@ -288,6 +291,7 @@ def test_order_in_eps():
     assert abs(body.solve(eps=1e-14).force.upper / exact - 1) < 1e-8
 
 
+@pytest.mark.slow
 def test_linear_steps_depend_on_neither_eps_nor_h():
     """Rigid body motions without normal components at closed nodes, and algebraic coarse levels: conjugate gradients
     with GAMG take as many steps for eps = 1e-2 as for 1e-12, and no more on a mesh of four times as many cells; a
@@ -300,6 +304,7 @@ def test_linear_steps_depend_on_neither_eps_nor_h():
     assert max(counts) < 1.5 * min(counts), counts
 
 
+@pytest.mark.slow
 def test_work():
     """All linear steps of a solve on the finest mesh are at most twice those of one without contact, from u = 0, and
     there are at most 4 Newton steps, whatever h; values where u is given are exact."""
@@ -355,6 +360,7 @@ class Box(Body):
         return ObstacleProblem(self.F, self.u, **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_any_direction(dim, degree, method):
@@ -370,6 +376,7 @@ def test_any_direction(dim, degree, method):
     assert np.isclose(size, tilted.force.upper, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_large_strains():
     """A neo-Hookean body: penalty and variational inequality agree as eps -> 0, with a line search on the energy; for
     small displacements the force is that of Hooke's law."""
@@ -383,6 +390,7 @@ def test_large_strains():
     assert np.isclose(forces[True], exact, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_forces_of_large_strains():
     """The residual of another state is that of the forms, not of the last matrix; the state stays."""
     body = Box(6, large=True)
@@ -401,6 +409,7 @@ def test_forces_of_large_strains():
     assert np.allclose(found, exact.array, rtol=0, atol=1e-13 * np.abs(exact.array).max(initial=1.0))
 
 
+@pytest.mark.slow
 def test_data_that_change():
     """A second solve takes new values of Constants, of the obstacle and of bcs, and starts from the last contact."""
     body = Hertz(cells=16, degree=1)
@@ -415,6 +424,7 @@ def test_data_that_change():
     assert problem.solve().iterations <= 1
 
 
+@pytest.mark.slow
 def test_of_may_be_the_present_place():
     """of = (u + x) . n against a plane at a height is u . n against the gap to it."""
     body = Box()
@@ -513,6 +523,7 @@ def test_a_load_that_pulls():
         body.problem(bcs=bcs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 @pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral])
 def test_a_body_between_two_stops(cell, method):
@@ -583,6 +594,7 @@ def test_free_motions_are_named(dim, given, words):
         held(dim, **given).solve()
 
 
+@pytest.mark.slow
 def test_half_models_hold_a_body():
     for dim, hold in ((2, [LEFT]), (3, [LEFT, BACK])):
         assert np.isclose(held(dim, hold=hold).solve().force.lower, 2.0, rtol=1e-8)

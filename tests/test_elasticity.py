@@ -71,6 +71,7 @@ def test_gaps_end_on_the_surface(axis):
     assert off(ball_gap(x, n, centre, 1.3), along(n)) < 1e-12
 
 
+@pytest.mark.slow
 def test_ball_with_axial_symmetry():
     """A rigid ball instead of its parabola: half-width within 1 % of Hertz; the measure has the factor r."""
     body = Hertz(cells=20, axial=True)

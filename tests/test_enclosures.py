@@ -70,6 +70,7 @@ def check(text, x, seed):
         assert np.abs(fitted - values).max() <= 1e-7 * (1 + np.abs(values).max()), (text, degree)
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @settings(max_examples=400, deadline=None, derandomize=True, database=None)
 @given(text=FORMULAS, x=CORNERS, seed=st.integers(0, 1000))
@@ -168,6 +169,7 @@ def check_slopes(text, x, seed):
         assert (difference <= factorial(order) * bound[0] * length**order + slack).all(), (text, order, bound)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None, derandomize=True, database=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_slopes_bound_differences(text, x, seed):
@@ -259,6 +261,7 @@ def test_the_largest_of_what_is_no_number_is_above_nothing(largest):
     assert found.lower[0] <= 0
 
 
+@pytest.mark.slow
 @settings(max_examples=400, deadline=None, derandomize=True, database=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_linear_functions_are_near(text, x, seed):

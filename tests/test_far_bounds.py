@@ -40,6 +40,7 @@ class Plate:
         return ObstacleProblem(self.F, self.u, bcs=self.bc, lower=lower).solve(method=method, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", FAR)
 @pytest.mark.parametrize("element", CELLS)
 def test_its_value_changes_nothing(element, far):
@@ -61,6 +62,7 @@ def test_pressures_keep_their_digits(eps):
     assert largest(COMM, np.abs(found.pressure.x.array - near.pressure.x.array)) < 1e-8 * near.force.lower
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", FAR)
 def test_a_constant_bound_out_of_reach(far):
     """As without an obstacle, from a constant start too."""
@@ -161,6 +163,7 @@ def test_scenes(element, method):
         )
 
 
+@pytest.mark.slow
 def test_scenes_in_time():
     """The start touches the plate, and lies far above the bound beside it."""
     near, far = (
@@ -182,6 +185,7 @@ def test_an_interval_below_an_upper_obstacle(far):
     assert answer.report["force"] == pytest.approx(-3.158, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_gaps_are_infinite_without_an_obstacle(folder):
     """In the solution, along lines, and in saved files; the picture is drawn."""
     answer = solve(where_far("1e20"))

@@ -34,6 +34,7 @@ def string(**changes):
     return Scene(**{**tables, **changes})
 
 
+@pytest.mark.slow
 def test_journal_bearing():
     """The eccentricity for a Sommerfeld number of .1212 within 1e-4 of finite volumes, in at most 8 solves."""
     rows = find(Scene(**BEARING), {"define.ecc": (0.3, 0.9)}, "sommerfeld = 0.1212")
@@ -81,6 +82,7 @@ def test_mistakes(vary, target, message):
         find(string(), vary, target)
 
 
+@pytest.mark.slow
 def test_jumps():
     """A count of nodes changes by two nodes at once, 2.5 % of its range, and reaches nothing between; the area does."""
     scene = string(report={"counted": "integral(contact)"})
@@ -91,6 +93,7 @@ def test_jumps():
     assert abs(rows[-1]["contact.area"] - 1.22) < 1e-3 and len(rows) <= 10
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_command(tmp_path):
     """A line of JSON for each solve, the found one last; nothing is computed twice; a wrong interval leaves nothing."""

@@ -92,6 +92,7 @@ def test_a_tension_that_depends_on_time(folder):
     assert np.abs(Answer.read(folder).at(x, "flux") - (x - 1 / 2)).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_where_the_tension_is_not_known(folder):
     """A form hides it, and a file has no tension that was a Python object: a message in place of values."""
     mesh = dmesh.create_unit_square(COMM, 4, 4)

@@ -50,6 +50,7 @@ CASES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "element", "goal", "unknowns"), slow_except(CASES, CASES[5]))
 def test_unknowns_and_memory(name, element, goal, unknowns):
     """A refinement is cut at a sixth of its unknowns, in space and with P2 at a third, and continued to a tolerance
@@ -136,6 +137,7 @@ def test_what_other_programs_take_is_not_counted():
     assert run.work[0].elapsed > 0.5 and run.work[0].elapsed - run.work[0].seconds > 0.4
 
 
+@pytest.mark.slow
 def test_what_is_reached_on_the_way():
     """A tolerance within the calibration is reported as it was, on the mesh of `solve`; mistakes are rejected as there;
     an eps that is too large for the tolerance is the reason."""

@@ -38,6 +38,7 @@ def square():
     return dmesh.create_unit_square(COMM, CELLS, CELLS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("meshes", ["one mesh", "a mesh for each"])
 def test_problems_that_are_gone_leave_nothing(meshes):
     """A loop over problems needs the memory of two: the new one, and the one before."""

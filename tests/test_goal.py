@@ -64,6 +64,7 @@ def test_digits(value, error, words):
     assert with_error(value, error) == words
 
 
+@pytest.mark.slow
 def test_penalty_is_small_beside_the_mesh():
     """The volume of `nsv` at the tolerance where the parts of mesh and penalty cancelled: the estimate is near the true
     error, int (r^2 - a^2)^2 over the part r > a = 0.7 of the square, since eps is lowered on the same mesh."""
@@ -83,6 +84,7 @@ def test_energy_is_guaranteed():
     assert answer.goal.error <= 0.003 * abs(STRING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["force", "volume", "load"])
 def test_terms_add_up(name, monkeypatch):
     """The terms of the dual weighted residual add up to the change of a linear quantity on nested meshes."""
@@ -154,6 +156,7 @@ def test_mistakes():
         solve(scene, goal="force")
 
 
+@pytest.mark.slow
 def test_the_same_on_all_ranks():
     """Meshes, value and estimate do not depend on the number of ranks."""
     from mpi4py import MPI
@@ -165,6 +168,7 @@ def test_the_same_on_all_ranks():
     assert one.goal.error == pytest.approx(all_.goal.error, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [0.49, 0.505, 0.52])
 def test_data_that_jump_inside_cells(place):
     """Meshes that halve may have a jump at one and the same wrong place; the true error is within 3 estimates."""

@@ -44,6 +44,7 @@ def test_the_list():
         case("rigde")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     slow_except(
@@ -61,6 +62,7 @@ def test_scene(name):
     assert all(row["monotone"] is (name != "floating") for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["perturbed", "obtuse"])
 def test_scene_without_maximum_principle(name):
     """The program knows that its matrix is no M-matrix, claims less, and what it claims holds."""
@@ -74,6 +76,7 @@ def test_scene_without_maximum_principle(name):
 BODIES = [one.name for one in cases() if one.known]
 
 
+@pytest.mark.slow
 @pytest.mark.serial  # as the suite, which judges on one rank and compares pressures on more of them
 @pytest.mark.parametrize("name", slow_except(BODIES, "in_a_corner"))
 def test_elastic_body(name):
@@ -107,6 +110,7 @@ def test_floating_membranes():
             assert forces["upper"] - forces["lower"] == pytest.approx(force, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(["ball", "gap_6"], "gap_6"))
 def test_floor_of_eps(name):
     """Just above the floor answers are right; below it they are rejected, with the floor in the message."""
@@ -254,6 +258,7 @@ def test_not_a_number_is_no_answer(answers):
     assert len(violated(beside_inequality(wrong, answers[None]))) >= 2
 
 
+@pytest.mark.slow
 def test_verdicts_of_what_goes_wrong():
     """A scene that should be rejected and is not, and a solver that gives up: FAILED, with the reason."""
     rows = list(judge(case("lake").on(0), COMM, (1e-4,), refuse="no u satisfies both"))

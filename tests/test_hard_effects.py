@@ -136,6 +136,7 @@ def test_energy_of_rules_that_differ():
         assert np.isclose(fallen, rate * residual.norm() ** 2, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_ranks():
     """No maximum principle, no energy: the energy norm of the difference tells other answers from the same."""
     one = case("pollutant").on(0)

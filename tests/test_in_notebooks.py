@@ -51,6 +51,7 @@ def test_a_slider_over_eps(disk):
     assert "drawn by" in repr(made.draw(values[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("notebook")
 def test_a_slider_over_moments():
     """One place for each moment that was kept."""

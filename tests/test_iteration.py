@@ -37,6 +37,7 @@ def sheared(by):
     return mesh
 
 
+@pytest.mark.slow
 def test_statement():
     """(3.4)*: the step is linear, sets are nested, the example cycles."""
     findings = [*linear_step(COMM), *nesting(COMM), *cycle()]
@@ -56,6 +57,7 @@ def test_counts():
     assert steps[1][COLD] == [3, 5, 7]
 
 
+@pytest.mark.slow
 def test_successive_iteration_is_the_same_loop(disk):
     """(3.4)*: from no contact until the active set is the same; the first step is the unconstrained solution."""
     answer = solve(disk, method="successive", eps=1e-6)

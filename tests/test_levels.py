@@ -141,6 +141,7 @@ def gmsh_square(path, order=1, recombine=False):
     gmsh.finalize()
 
 
+@pytest.mark.slow
 def test_gmsh_names(folder):
     """Physical names are what [[boundary]] on means; refinement keeps them."""
     on_root(COMM, gmsh_square, folder / "square.msh")
@@ -153,6 +154,7 @@ def test_gmsh_names(folder):
         solve(scene.change({"boundary": [{"on": "flor", "value": 0}]}))
 
 
+@pytest.mark.slow
 def test_parts_of_a_file_halved_several_times(folder):
     """Named parts of the boundary keep their length, materials their cells."""
     on_root(COMM, gmsh_square, folder / "square.msh")
@@ -167,6 +169,7 @@ def test_parts_of_a_file_halved_several_times(folder):
         assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
 
 
+@pytest.mark.slow
 def test_broken_mesh_files(folder):
     on_root(COMM, gmsh_square, folder / "quads.msh", 1, True)
 
@@ -247,6 +250,7 @@ def halves(folder):
     return lambda **given: Scene(**{"mesh": {"file": str(folder / "halves.geo")}, "boundary": ends, **given})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", slow_except([0, 1, 2], 1))
 def test_materials(halves, refine):
     """Two springs in a row: the same force in both, u linear in each; refined cells keep their material."""
@@ -291,6 +295,7 @@ def test_interior_curve(halves, refine):
     assert np.isclose(answer.report["length"], 1)
 
 
+@pytest.mark.slow
 def test_curve_that_is_not_in_the_mesh(folder):
     """A curve beside the surface, and an entity in two groups, are refused with a reason."""
     loose = GEO + "Point(90) = {0.1, 0.2, 0}; Point(91) = {0.3, 0.2, 0}; Line(99) = {90, 91};\n"
@@ -309,6 +314,7 @@ def test_curve_that_is_not_in_the_mesh(folder):
         solve(scene.change({"mesh.file": str(folder / "doubled.geo")}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", slow_except([0, 1], 0))
 def test_cylinder_surface_is_periodic(refine):
     """No seam at theta = pi: u = z and u = cos(theta) are found up to the polygon, whose triangles lean a little."""

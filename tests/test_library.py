@@ -95,6 +95,7 @@ def values():
     }
 
 
+@pytest.mark.slow
 def test_data_may_come_in_any_form():
     """A number, a Constant, a callable, a Function and UFL that mean the same give the same u."""
     mesh, forms = values()

@@ -37,6 +37,7 @@ def test_string_over_an_obstacle(cells, eps):
     assert "twice" not in found  # a quotient of integrals is not linear
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", ["auto", "h"])
 @pytest.mark.parametrize("name", slow_except(catalogue.names(), "ball", "string_wedge"))
 def test_scenes_with_exact_solutions(name, eps):
@@ -59,6 +60,7 @@ def test_the_norm_of_the_functional_is_sharp():
     assert math.sqrt(1 / 12) <= factor <= 1.02 * math.sqrt(1 / 12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "foundation"), [("P1", 3.0), ("P1", 0.0), ("P2", 0.0)])
 def test_sums_of_integrals(element, foundation):
     """Values of a known u: factors, signs, constants, definitions and polynomial weights."""
@@ -142,6 +144,7 @@ def test_sampled_data_are_named():
     assert outputs(answer)["volume"]["words"] == "estimated for the sampled load"
 
 
+@pytest.mark.slow
 def test_adaptive_meshes():
     """With a tolerance the errors hold on the last mesh."""
     scene = Scene(mesh={**SQUARE, "cells": 8}, tension=1, load=LOAD, foundation=3, report={"volume": "integral(u)"})

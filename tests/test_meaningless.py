@@ -150,6 +150,7 @@ def test_each_part_of_a_mesh_is_held():
     assert (low, high) == pytest.approx((-3.1, 0), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["vi", "penalty"])
 @pytest.mark.parametrize("load", ["0", "where(x < 0.5, -1, 1)"])
 def test_a_load_without_sum_needs_contact_forces(load, method):
@@ -251,6 +252,7 @@ def string_in_a_trap(eps, load=1, n=1000, force=1.0, **more):
     return Scene(mesh={"shape": "interval", "cells": n}, **effects, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", slow_except([1e-8, 1.0, 1e8], 1.0))
 @pytest.mark.parametrize("eps", slow_except([0.08, 0.06, 0.05], 0.06))
 def test_nearly_singular_drift_is_rejected(eps, force):
@@ -270,6 +272,7 @@ def test_nearly_singular_drift_is_found_where_u_is_small(n, eps):
         solve(string_in_a_trap(eps, "sin(2*pi*x)", n))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", slow_except([0.5, 0.2, 0.15], 0.2))
 def test_drift_that_is_only_strong_is_solved(eps):
     """u at the nodes is that of the same differences, solved with 50 digits."""
@@ -290,6 +293,7 @@ def test_drift_that_is_only_strong_is_solved(eps):
     assert extremes(solve(string_in_a_trap(eps))) == pytest.approx((0, float(most)), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_contact_makes_a_nearly_singular_operator_regular():
     """Held by an obstacle u is well determined, whatever the operator is without it."""
     scene = string_in_a_trap(0.05, upper=1)
@@ -431,6 +435,7 @@ def test_no_film_beyond_its_limit_load(load, unit, method):
         solve(scene, method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load", slow_except([1.5, 1.9, 1.99], 1.9))
 def test_films_below_their_limit_load(load):
     """Up to the limit the film is a cap of a sphere of radius 2/load."""
@@ -447,6 +452,7 @@ def test_no_film_reaches_a_far_obstacle(load, far, method):
         solve(Scene(mesh=SQUARE, large_slope=1, load=-load, lower=-far), method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 @pytest.mark.parametrize(
     "mesh", [ROUND, {"mesh": {"shape": "disk"}, "boundary": [{"value": 0}]}], ids=["axial", "disk"]
@@ -462,6 +468,7 @@ def test_no_film_falls_so_far(load, cells, mesh, method):
     assert low == pytest.approx(-0.3, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_films_that_obstacles_hold():
     """Near obstacles carry what the film does not; concentrated forces draw a string to any depth."""
     low, _ = extremes(solve(Scene(mesh=SQUARE, large_slope=1, load=-5, lower=-0.1), method="vi"))

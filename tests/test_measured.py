@@ -93,6 +93,7 @@ def in_file(folder, text, name="scene.toml"):
     return folder / name
 
 
+@pytest.mark.slow
 def test_one_surface_from_every_kind_of_file(files):
     """Contact force and u agree to the error of interpolation; force balances load; each bound is certified."""
     found = {}
@@ -131,6 +132,7 @@ def test_a_rough_surface_from_every_kind_of_file(folder):
     assert answer.bound.total == pytest.approx(alone.bound.total, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bound_is_above_the_error(files):
     """On a mesh that is coarser than the data, against a mesh that resolves them."""
     scene = Scene.read(in_file(files, scene_text(FILES["npz"])))
@@ -228,6 +230,7 @@ def _vertices(corners):
     return "".join("vertex " + " ".join(f"{x:g}" for x in one) + "\n" for one in corners)
 
 
+@pytest.mark.slow
 def test_saved_result_is_solved_again_elsewhere(files):
     """The file is copied beside the scene; arrays are kept in an archive."""
     first = solve(Scene.read(in_file(files, scene_text(FILES["png"]))))

@@ -85,6 +85,7 @@ def facets(level, name=None):
     return total(COMM, np.count_nonzero(found < own))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("version", "binary", "everything"), FORMATS)
 def test_a_file_without_physical_groups(folder, version, binary, everything):
     """Gmsh's first export: all cells are the mesh, and all sides the boundary."""
@@ -96,6 +97,7 @@ def test_a_file_without_physical_groups(folder, version, binary, everything):
     assert answer.level.facets == {} and answer.level.groups == {} and answer.level.remarks == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [1, 2, 3])
 @pytest.mark.parametrize(("version", "binary"), slow_except([(2.2, 1), (4.1, 0)], (2.2, 1)))
 def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, binary):
@@ -106,6 +108,7 @@ def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, 
     assert np.isclose(found.report["size"], 1) and found.record["free"] < found.record["dofs"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("version", "binary", "everything"), slow_except(FORMATS, FORMATS[0]))
 @pytest.mark.parametrize("kind", ["curves", "cells", "numbers", "names"])
 def test_physical_groups(folder, kind, version, binary, everything):
@@ -161,6 +164,7 @@ def test_cells_that_are_in_no_group(folder):
     assert remark.startswith("surface 2 is in no physical group") and remark.endswith("not part of the mesh")
 
 
+@pytest.mark.slow
 def test_a_group_that_holds_nothing(folder):
     """A group without a mesh is no fault as long as nothing is on it."""
 
@@ -223,6 +227,7 @@ def of_cubes(dim):
     return draw
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dim", "order", "element"),
     slow_except([(2, 1, "Q1"), (2, 2, "Q2"), (3, 1, "Q1"), (3, 2, "Q1"), (3, 1, "Q2")], (2, 1, "Q1")),
@@ -247,6 +252,7 @@ CIRCLE = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "norm", "order"), slow_except([("P1", "l2", 2), ("P2", "h1", 1.5)], ("P1", "l2", 2))
 )
@@ -309,6 +315,7 @@ def plate(model):
     occ.synchronize()
 
 
+@pytest.mark.slow
 def test_step(folder):
     """A STEP file is meshed by Gmsh; its curves have their numbers as names, and keep their shape when refined."""
     file_of(folder, plate, "plate.step")
@@ -340,6 +347,7 @@ def test_names_of_bodies(tmp_path):
     assert areas == pytest.approx({"steel": 2, "2": 1}) and len(level.facets) == 12
 
 
+@pytest.mark.slow
 def test_cut_files(folder):
     """A file that ends anywhere ends no process."""
     path = file_of(folder, disk_of_arcs, binary=1)
@@ -375,6 +383,7 @@ BOXES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOXES)
 def test_bodies_of_a_step_file_that_touch_share_nodes(folder, name):
     boxes, common = BOXES[name]
@@ -404,6 +413,7 @@ def test_bodies_of_a_step_file_that_overlap(folder):
         level_of(file_of(folder, assembly, "overlap.step"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("suffix", ["geo", "msh"])
 def test_the_default_element_of_files_is_that_of_their_cells(folder, dim, suffix):
@@ -464,6 +474,7 @@ def test_groups_of_cells_and_of_curves_with_one_number(folder):
             solve(scene.change({"report.force": wrong}))
 
 
+@pytest.mark.slow
 def test_bodies_that_were_not_fragmented(folder):
     """Two rectangles with a common edge are one domain only if they share its nodes; until then there is no answer."""
 
@@ -536,6 +547,7 @@ SIZED = {  # ways by which a .geo depends on another file, which says the size
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".geo", ".GEO"])
 @pytest.mark.parametrize("way", SIZED)
 def test_a_mesh_is_of_the_files_as_they_are(folder, way, suffix):
@@ -557,6 +569,7 @@ def test_a_mesh_is_of_the_files_as_they_are(folder, way, suffix):
     assert on_root(COMM, lambda: {one.name for one in folder.iterdir()}) == {file.name, name}
 
 
+@pytest.mark.slow
 def test_the_geometry_is_part_of_the_content(folder):
     """Two ellipses with the same vertices: the refined meshes differ."""
     found = []
@@ -569,6 +582,7 @@ def test_the_geometry_is_part_of_the_content(folder):
     assert found[0] != found[1]
 
 
+@pytest.mark.slow
 def test_a_study_reads_a_mesh_once(folder, monkeypatch):
     """The rows of a study are of one mesh, even if its file changes meanwhile."""
     runs, run = [], meshing.subprocess.run
@@ -645,6 +659,7 @@ def test_without_confinement_no_geo_is_read(folder, monkeypatch, capsys):
         assert meshing._run(str(folder / "a.msh"), str(folder / "2.npz")) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "whole", "part"), [
     ("Box(1) = {0, 0, 0, 1, 1, 1}; Physical Surface('top') = {6};", "volume", "surface"),
     ("Rectangle(1) = {0, 0, 0, 1, 1}; Physical Curve('rim') = {1};", "surface", "curve"),
@@ -682,6 +697,7 @@ def with_a_curve_inside(model):
         model.setPhysicalName(2, model.addPhysicalGroup(2, [number]), name)
 
 
+@pytest.mark.slow
 def test_normal_flux_on_a_curve_inside(folder):
     """Where u is given it is the force that holds the curve; where u is free it would be 0, and is rejected."""
     path = file_of(folder, with_a_curve_inside)

@@ -7,6 +7,7 @@ from tests.conftest import COMM
 from tests.theory.monotone import Line, hat, penalties, ramp
 
 
+@pytest.mark.slow
 def test_statement():
     """J((u - g)^+) is not monotone nor J(I - P_K); that one, and the penalty in L2, are monotone."""
     found = penalties(COMM)

@@ -21,6 +21,7 @@ def sets(steps):
     return [(step.active, step.changed) for step in steps]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1-gauss"])
 def test_active_sets_are_those_of_the_solve(element, disk):
     """One for the start and one for each step, with as many points in contact as the history says."""
@@ -80,6 +81,7 @@ def test_what_is_not_flat_is_not_drawn(folder):
     assert not list(folder.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_nothing_is_imported_where_nobody_asks(tmp_path):
     """`solve` without --newton imports neither the animation nor what it is made of."""

@@ -95,6 +95,7 @@ def test_sections_have_exercises():
     assert numbers == [f"{k + 1}.{i}" for k in range(len(SECTIONS)) for i in (1, 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "file",
     slow_except(TUTORIALS, *(file for file in TUTORIALS if file.stem in QUICK)),

@@ -162,6 +162,7 @@ def fixed_dofs(bc, V):
     return dofs[dofs < V.dofmap.index_map.size_local]
 
 
+@pytest.mark.slow
 def test_a_loop_over_loads_is_a_loop():
     """Constants, Functions, boundary values and obstacles that change are taken anew: the same as new problems."""
     own = Membrane()
@@ -236,6 +237,7 @@ def test_what_is_linear_is_found_out():
         assert ResidualForm(F=F, u=u).symmetric == symmetric
 
 
+@pytest.mark.slow
 def test_jacobian_of_ones_own():
     """A derivative that leaves out a small term: more steps, the same solution."""
     own = Membrane()
@@ -359,6 +361,7 @@ def test_forms_on_a_part_of_the_mesh(degree, nonlinear):
         ObstacleProblem(mass, own.u, upper=own.g)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cell", "degree", "cells"), [("quadrilateral", 1, 2), ("triangle", 2, 1)])
 @pytest.mark.parametrize("eps", [1e-3, "auto"])
 def test_forms_on_facets_do_not_reach_the_inside(cell, degree, cells, eps):
@@ -406,6 +409,7 @@ def test_terms_over_tags_that_nothing_has():
                 ObstacleProblem(own.F - own.f * v * measure((3, 5)), own.u, bcs=own.bc, upper=own.g)
 
 
+@pytest.mark.slow
 def test_forms_on_all_parts_of_the_mesh():
     """Integrals over all materials, one by one, are those over the mesh; so are those over all facets and their
     cells."""
@@ -569,6 +573,7 @@ assert not [name for name in sys.modules if name.startswith("fenicsx_obstacle.sc
 """
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_without_scenes(tmp_path):
     """Built, solved, saved, read and drawn where the package has no scenes."""
@@ -623,6 +628,7 @@ def test_meshes_that_are_none():
         ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cell", "degree"), [(TRIANGLE, 1), (QUADRILATERAL, 2)])
 def test_obstacles_with_several_values_at_a_node(cell, degree):
     """The derivative of a Function, or a size of cells, is an obstacle where it has one value at each node; otherwise
@@ -702,6 +708,7 @@ def test_common_mistakes():
 HOW = [{}, {"method": "vi"}, {"eps": 1e-4}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", HOW)
 def test_a_wrong_sign_is_found_by_every_method(how):
     """Also a coefficient that changes: a negative and an infinite one, and one that is negative in some cells."""
@@ -741,6 +748,7 @@ def test_forms_that_are_nonlinear_may_be_concave_at_the_start():
         ObstacleProblem(small + v / u * ufl.dx, u, bcs=own.bc, upper=0.8).solve()
 
 
+@pytest.mark.slow
 def test_an_infinite_obstacle_gets_a_remedy():
     """Infinity means 'no obstacle here' with one sign only."""
     own = Membrane(cells=4)

@@ -53,6 +53,7 @@ def numbers(scene, **options):
     return [record["energy"], record["contact"]["area"], record["contact"]["lower"]["force"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_the_same_by_names_and_by_functions(element):
     """A tension by materials, by a Function in cells, by UFL and by a formula; parts by names: the same figures."""
@@ -74,6 +75,7 @@ def test_the_same_by_names_and_by_functions(element):
         assert np.allclose(found, first, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_names_are_the_tags_by_default():
     own = Own(8)
     by_number = own.scene(
@@ -85,6 +87,7 @@ def test_names_are_the_tags_by_default():
     assert np.allclose(numbers(both), numbers(apart), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_certified_tolerance():
     """A Function as tension, a formula as obstacle, named parts: 1 % on adaptive meshes, certified, for P1 and P2."""
     own = Own(8)
@@ -108,6 +111,7 @@ def test_time_with_callables():
     assert np.allclose(one.time_history.column("force_lower"), other.time_history.column("force_lower"), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_changed_and_saved(folder):
     """`change` keeps objects and tags; a saved answer is read, and says what its file has not."""
     own = Own(8)
@@ -139,6 +143,7 @@ def parts_of(level):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "cell"), [("P1", "triangle"), ("P2", "triangle"), ("Q1", "quadrilateral")])
 def test_named_parts_are_saved(element, cell, folder):
     """Named facets and cells are read with the answer, by all ranks or by one, and the scene of the folder knows them.
@@ -183,6 +188,7 @@ def test_quadrilaterals_of_a_file(folder):
     assert np.isclose(solve(there).energy, solve(Scene(mesh=mesh, **given)).energy, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_named_parts_of_a_refined_mesh_are_saved(folder):
     """The parts of an adaptive mesh are those of the mesh that it was refined from, and so after reading."""
     own = Own(4)

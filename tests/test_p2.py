@@ -25,6 +25,7 @@ def quadratic(name, **changes):
     return catalogue.scene(name).change({"solve.element": "P2", "mesh.cells": 16, **changes})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "vi"))
 def test_steps_do_not_grow(method):
     """Multigrid of P1 below P2: from P1 on the same mesh few Newton and CG steps lead to the cold solution."""
@@ -54,6 +55,7 @@ def test_moments_determine_a_flux():
     assert np.allclose(np.einsum("d,dpx->px", moments, rt1.reference_fields(lattice(4))), field)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("perturb", [0.0, 0.3])
 def test_the_flux_is_in_balance(perturb):
     """div sigma = -(Pi_1 f + lambda - nu + rho) in each cell, the normal part and its moment are continuous, and the
@@ -81,6 +83,7 @@ def test_the_flux_is_in_balance(perturb):
             assert largest(COMM, np.abs(flux.rest)) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(NAMES, *NAMES[:3]))
 def test_no_known_error_is_above_its_bound(name):
     """From a soft obstacle to a hard one, and nowhere more than 6 times the error."""
@@ -112,6 +115,7 @@ def test_adaptive_order():
     assert np.log(first / second) / np.log(4) == pytest.approx(1.5, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "cone", "two_obstacle_square"])
 def test_estimates_from_samples_are_near_the_bound(name):
     """Without enclosures of the obstacles the error is found within 10 %, and is no bound."""
@@ -125,6 +129,7 @@ def test_estimates_from_samples_are_near_the_bound(name):
         assert context.estimator.bound().total == bound.total
 
 
+@pytest.mark.slow
 def test_the_last_mesh_has_a_bound():
     """On the meshes before it the error is estimated, unless there is a budget."""
     answer = solve(quadratic("ball"), tol=5e-3)
@@ -140,6 +145,7 @@ def test_the_last_mesh_has_a_bound():
     assert not few.adaptive.reached and few.bound.certified and not few.adaptive.path[-1].sampled
 
 
+@pytest.mark.slow
 def test_tolerance_is_reached():
     """A tenth of what P1 needs: the ball to 1 % with a few thousand unknowns."""
     record = solve(quadratic("ball"), tol=0.01).record
@@ -147,6 +153,7 @@ def test_tolerance_is_reached():
     assert record["errors"]["energy"] <= record["bound"]["total"] and record["dofs"] < 8000
 
 
+@pytest.mark.slow
 def test_the_same_on_any_number_of_ranks():
     for name in ("ball", "two_obstacle_square"):
         together, alone = (solve(quadratic(name), comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
@@ -155,6 +162,7 @@ def test_the_same_on_any_number_of_ranks():
         assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_free_sides_and_other_effects():
     """Nothing leaves through free sides; effects besides tension and load are refused, and surfaces in space."""
     exact = "sin(pi*x/2)*sin(pi*y)"

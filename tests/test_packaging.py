@@ -71,6 +71,7 @@ def test_missing_libraries_are_named():
     assert "apt-get install python3-dolfinx" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_unknown_release_of_dolfinx_is_a_warning(tmp_path):
     """One that was not tried, with the spellings of one that was: the answer comes, and a line before it."""
     other = {(0, 5): "0.6.0", (0, 9): "0.8.0"}.get(releases.VERSION, "0.12.0.dev0")

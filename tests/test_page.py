@@ -96,6 +96,7 @@ def test_text_of_the_scene_is_escaped(folder):
     assert "where(x < 0.5, 0.01, 0.02)" in " ".join(page.texts)
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: ./obstacle test installs it")
 def test_a_browser_shows_it(study_page, tmp_path):

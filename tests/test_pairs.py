@@ -57,6 +57,7 @@ def test_weights_of_a_problem(name):
     context.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(pairs(), "P1", "Q2"))
 def test_orders_of_each_pair(name):
     """(5.6), (5.8), (5.9) with eps = h^2: order 1 in H1 at least, 2 in L2, 1 for the pressure in the dual norm."""

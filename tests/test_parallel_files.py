@@ -37,6 +37,7 @@ def test_the_free_boundary_needs_only_the_cells_near_it(name, changes):
         assert np.array_equal(a.points[a.cells], b.points[b.cells])
 
 
+@pytest.mark.slow
 def test_rank_0_holds_nothing_of_the_size_of_the_mesh(folder, monkeypatch):
     """Bytes gathered on rank 0 to save, report and read: as h falls they grow like the free boundary, not like the
     mesh, of which they are a small part."""

@@ -167,6 +167,7 @@ def snes_of_own(eps, divergence, linesearch):
     return snes.getConvergedReason(), snes.getIterationNumber(), force
 
 
+@pytest.mark.slow
 def test_settings_for_a_solver_of_your_own():
     """Full steps and no divergence tolerance: SNES converges for a small eps. With its defaults it does not."""
     for eps in (1e-5, 1e-8):

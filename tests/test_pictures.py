@@ -282,6 +282,7 @@ def test_one_node_in_contact_keeps_its_line():
     assert measure(line) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", slow_except(["interval", "rectangle", "disk", "box"], "disk"))
 def test_every_shape_has_a_picture(shape, folder, monkeypatch):
     """By matplotlib alone; pyvista's turn comes below."""
@@ -326,6 +327,7 @@ def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
     assert np.count_nonzero((left[..., 0] > 0.3) & (left[..., 1] < 0.2)) > 5000  # contact in dark red, in space too
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "why"),
     slow_except(
@@ -345,6 +347,7 @@ def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
     assert solve(disk, cells=4).plot(folder / "disk.png").said.endswith(f"drawn by matplotlib, because {why}")
 
 
+@pytest.mark.slow
 def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
     """VTK's process would otherwise take itself for one of our ranks."""
     code = "import os, sys; sys.exit(' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean')"
@@ -360,6 +363,7 @@ def test_pyvista_draws_where_it_is(ball, folder):
     assert said.endswith("drawn by pyvista")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ending", "begins"), slow_except([("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")], ("pdf", b"%PDF"))
 )
@@ -379,6 +383,7 @@ def test_a_picture_that_cannot_be_written(disk, folder):
         answer.plot(folder / "disk.doc")
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):

@@ -53,6 +53,7 @@ def test_constants_of_the_remainder(corners, degree):
     assert 0.9 * limit <= found <= limit
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_polynomials_are_near_on_each_part(data, text, x, seed):

@@ -77,6 +77,7 @@ def test_a_balance_is_drawn_as_zero():
     assert left[1].tolist() == [0, 0]
 
 
+@pytest.mark.slow
 def test_a_sweep_plots_the_figures_of_the_report(folder):
     """Each figure of [report] against the key in the scene's words; without a report contact area, force, energy."""
     report = {"deepest": "inf(u)", "force": "integral(p)"}
@@ -101,6 +102,7 @@ def test_a_sweep_plots_the_figures_of_the_report(folder):
         assert "<svg" in (folder / "out" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_one_row_has_no_plot(disk, folder):
     _, said = rows_of(disk, {"cells": [4]}, folder)
     if COMM.rank == 0:
@@ -130,6 +132,7 @@ def test_columns_stay_where_they_are(disk, folder):
         assert [row["eps"] is None for row in stored] == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_orders_along_each_line_of_a_grid(disk):
     """Orders compare rows that differ in the parameter only, wherever they stand in the grid."""
     vary = {"cells": [4, 8, 16], "method": ["vi", "penalty"]}
@@ -161,6 +164,7 @@ def test_eps_of_obstacles_on_the_boundary():
     assert 8 < rows[0]["to_vi.energy"] / rows[1]["to_vi.energy"] < 12
 
 
+@pytest.mark.slow
 def test_a_refused_study_leaves_nothing(disk, folder):
     """Also where only the mesh shows the mistake; what was there before stays."""
     bad = membrane(tension="x - 1/2", upper=1)
@@ -190,6 +194,7 @@ def test_mistakes_in_calls(vary, options, message, disk):
         study(disk, vary, **options)
 
 
+@pytest.mark.slow
 def test_a_legend_of_many_curves_covers_none():
     """Beside the panels, once, where it would not fit into them."""
     if COMM.rank != 0:

@@ -33,6 +33,7 @@ def test_known_values(element):
     assert np.allclose(found.slope, [3, 0]) and np.allclose(found.flux, [6, 0])
 
 
+@pytest.mark.slow
 def test_along_a_named_curve():
     """A side by its name, and the closed circle of the disk: points at equal distances, u = 0 there."""
     side = solve(membrane(load=-1, profile={"side": {"on": "top", "n": 5}}))
@@ -44,6 +45,7 @@ def test_along_a_named_curve():
     assert np.abs(found.u).max() < 1e-12 and np.allclose(np.diff(found.s), found.s[1], rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_files_page_and_time(folder):
     """A table with a line for each point and moment, a plot, and the plot on the page."""
     scene = membrane(load="-8*t", lower=-0.05, profile=LINE, time={"end": 1, "steps": 2})
@@ -59,6 +61,7 @@ def test_files_page_and_time(folder):
     assert "Profiles" in (folder / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_rows_of_a_study(folder):
     """Each row has the columns of its profiles; they are drawn over one another."""
     scene = membrane(load=-8, lower="-depth", define={"depth": 0.1}, profile=LINE)
@@ -82,6 +85,7 @@ def test_round_off_is_not_magnified():
     assert not above.patches and not below.patches  # nothing is shaded as contact
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_plot_along(folder):
     """`plot RESULT --along` writes a picture and the table; a line that leaves the mesh is a mistake."""
@@ -137,6 +141,7 @@ def test_journal_bearing_along_its_middle():
     assert np.abs(found.u - FILM).max() < 0.005 * 3.175
 
 
+@pytest.mark.slow
 def test_formulas_of_comparison(folder):
     """Columns of the formulas in table and rows, drawn dotted; with time at each moment."""
     table = {**LINE["line"], "compare": {"u": "-t*x", "p": "depth"}}
@@ -158,6 +163,7 @@ PRESSED = [{"on": "left", "value": [0, "free"]}, {"on": "bottom", "value": ["fre
            {"on": "top", "obstacle": {"plane": [0, -1], "at": [0, 0.99]}}]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_body_along_lines(folder):
     """A block pressed by 0.01 with Poisson's ratio 0: u_y = -0.01 y, p = 0.01, von Mises stress 0.01; the formula."""
     lines = {"top": {"on": "top", "n": 9, "compare": {"p": "0.01"}}, "inside": {"from": [0.5, 0], "to": [0.5, 1]}}
@@ -175,6 +181,7 @@ def test_a_body_along_lines(folder):
     assert np.allclose(table["p"], table["p_formula"]) and (folder / "profile-inside.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_plot_a_body_along(folder):
     """`plot RESULT --along` of a saved body, with a formula; what `--compare` rejects."""
@@ -194,6 +201,7 @@ def test_plot_a_body_along(folder):
         CliRunner().invoke(commands, ["plot", str(folder), "--compare", "p = 1"], catch_exceptions=False)
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_plot_without_a_scene(folder):
     """`plot` also draws what Solution.save wrote; along a line it names Solution.read, because there is no scene."""

@@ -64,6 +64,7 @@ def test_quiet_is_quiet(tmp_path):
     assert seen == ""
 
 
+@pytest.mark.slow
 def test_no_bar_without_a_terminal(tmp_path):
     done = run(*STUDY, tmp_path / "out")
     assert done.returncode == 0

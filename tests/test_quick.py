@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
 from fenicsx_obstacle.show.report import report_study
 from tests.conftest import CLEAN, COMM, DEMOS
-from tests.test_cli import run
 from tests.theory.statement import statements
 
 ROOT = DEMOS.parent
@@ -37,15 +37,25 @@ def test_every_effect(key):
     assert 0 < largest(COMM, np.abs(answer.u.x.array)) < np.inf
 
 
+def is_quick(function):
+    """Whether a test, or a case of it, runs without --all."""
+    marks = getattr(function, "pytestmark", [])
+    cases = [mark.args[1] for mark in marks if mark.name == "parametrize"]
+    return all(mark.name != "slow" for mark in marks) and all(
+        any(all(mark.name != "slow" for mark in getattr(case, "marks", ())) for case in values) for values in cases
+    )
+
+
 @pytest.mark.serial
 def test_every_statement():
     """Each statement of the register has a row in docs/theory.md, and a test named in the row runs without --all."""
-    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "not slow", "-o", "addopts=", "tests"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=CLEAN, check=False)
-    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
-    quick = set(re.findall(r"^(tests/\w+\.py)::(\w+)", done.stdout, re.MULTILINE))
-    assert quick
-    files, functions = ({place[part] for place in quick} for part in (0, 1))
+    files, functions = set(), set()
+    for file in (ROOT / "tests").glob("test_*.py"):
+        tests = vars(import_module(f"tests.{file.stem}")).items()
+        quick = {name for name, value in tests if name.startswith("test_") and is_quick(value)}
+        files.update([f"tests/{file.name}"] if quick else [])
+        functions |= quick
+    assert functions
     table = (ROOT / "docs" / "theory.md").read_text().partition("## Statements, functions")[2].partition("\n## ")[0]
     rows = [line.split("|") for line in table.splitlines() if "`theory" in line]
     tested = set()
@@ -64,7 +74,7 @@ COMMANDS = {  # in this order: compare and plot take what solve has written
     "explain": ["ball"],
     "study": ["string_parabola", "--vary", "cells=8,16", "--output", "study"],
     "find": ["string_parabola", "--vary", "define.f=4..12", "--target", "force = 3", "--output", "find"],
-    "cost": ["string_parabola", "--budget", "100 unknowns", "--output", "cost"],
+    "cost": ["string_parabola", "--budget", "10 unknowns", "--output", "cost"],
     "compare": ["result", "result"],
     "plot": ["result", "--output", "result.svg"],
     "scenes": [],
@@ -74,12 +84,13 @@ COMMANDS = {  # in this order: compare and plot take what solve has written
 
 
 @pytest.mark.serial
-def test_every_command(tmp_path):
+def test_every_command(tmp_path, monkeypatch):
     """Each command of the register, on one rank, ends with status 0 and says something; 'demo' has its own test."""
     assert {*COMMANDS, "demo"} == set(commands.commands)
+    monkeypatch.chdir(tmp_path)
     for name, arguments in COMMANDS.items():
-        done = run(name, *arguments, cwd=tmp_path)
-        assert done.returncode == 0, (name, done.stdout, done.stderr)
+        done = CliRunner().invoke(commands, [name, *arguments], catch_exceptions=False)
+        assert done.exit_code == 0, (name, done.output)
         assert done.stdout, name
     assert (tmp_path / "result.svg").exists()
 

@@ -38,6 +38,7 @@ def test_admissible_scenes():
     assert sum(row["answers"] for row in rows) > 2 * len(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", [name for name in shares(100) if name != "admissible"])
 def test_families(family):
     """Scenes whose truth is known: certificates hold, answers are right, what has none is rejected."""
@@ -166,6 +167,7 @@ def false(scene, value, judgement, monkeypatch):
     return judgement.wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [Strip("interval", 300, 1.0, "from a point", 4.0, 0.5), Film("cap", 60, 1.0, 1.0, 0.5, 1.0, "penalty", False)],

@@ -190,6 +190,7 @@ def test_closed_forms_on_tetrahedra(kind):
     assert replace(given, **other).error(field)[0] > 2 * errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["cube", "fichera", "prism", "random points"])
 def test_solids_are_filled(shape):
     """Meshes have the volume of their domain, and so have the pieces of their cells up to those that are omitted."""
@@ -283,6 +284,7 @@ def test_inclusion(spelling):
     assert errors[0] < 0.19 < 0.2 < errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corner", [(0.0, 0.0), (-0.5, -0.5), (-0.377, -0.613)])
 def test_pole(corner):
     """The energy of r^a, a = 1.7, is that by polar coordinates or on a fine grid; u_h tends to it."""

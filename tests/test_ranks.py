@@ -61,6 +61,7 @@ def right_or_refused(run: Any, right: Any, whole: bool) -> None:
     assert_allclose(found, right, rtol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ghosts", [GHOSTS.none, GHOSTS.shared_facet])
 @pytest.mark.parametrize("kind", [TRIANGLES, QUADRILATERALS])
 def test_facets_inside_have_both_sides(kind: Any, ghosts: Any) -> None:

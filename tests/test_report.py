@@ -120,6 +120,7 @@ def test_normal_flux_has_a_sign_and_an_order():
     assert np.allclose([free["left"], free["right"], free["top"]], [-1, 0, 0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_normal_flux_into_a_curve_inside():
     """The groove and the ends of the bearing take what load and cavitation leave: both sides of the groove count."""
     report = {
@@ -259,6 +260,7 @@ def test_distance_where_formulas_stand():
     assert np.isclose(report["most"], 1)
 
 
+@pytest.mark.slow
 def test_distance_needs_a_boundary_in_the_same_space(folder):
     scene, words = Scene.read(DEMOS / "bearing.toml"), "'distance' to the boundary is not available on curves"
     for change, key in (
@@ -269,6 +271,7 @@ def test_distance_needs_a_boundary_in_the_same_space(folder):
             solve(scene.change(change))
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_nothing_that_is_not_named():
     """Without [report] and distance their modules are not imported, and the record has no report."""
@@ -352,6 +355,7 @@ def halves(tension, **given):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ("P1", "P2"))
 def test_flux_through_a_curve_inside(element):
     """From one side, and its jump: 0 where tensions 1 and 3 are in series, the load per length along the curve else."""

@@ -238,6 +238,7 @@ def _plugin(folder, factor):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [_geo, _xdmf, _plugin])
 def test_rows_are_of_the_contents_of_files(change, tmp_path):
     """Included files, the .h5 of an .xdmf and the code of a plug-in: once these change a row is computed again."""
@@ -264,19 +265,29 @@ ROWS = {
 }
 
 
+SHORT = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6", "--quiet", "--output"]
+
+
+@pytest.fixture(scope="module")
+def rows_of_a_study(tmp_path_factory):
+    """The lines of rows.jsonl that the study SHORT has written."""
+    folder = tmp_path_factory.mktemp("study")
+    assert run(*SHORT, folder).returncode == 0
+    return (folder / "rows.jsonl").read_text().splitlines()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("forged", [False, True], ids=["damaged", "forged"])
 @pytest.mark.parametrize("what", ROWS)
-def test_wrong_fields_of_rows(what, forged, tmp_path):
+def test_wrong_fields_of_rows(what, forged, rows_of_a_study, tmp_path):
     """One message; a row that was changed is never taken."""
-    study = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6", "--output", str(tmp_path), "--quiet"]
-    assert run(*study).returncode == 0
     lines = []
-    for line in (tmp_path / "rows.jsonl").read_text().splitlines():
+    for line in rows_of_a_study:
         row = {**json.loads(line), **ROWS[what]}
         content = row.pop("content")
         lines.append(json.dumps({**row, "content": rows_module._content(row) if forged else content}))
     (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
-    done = run(*study)
+    done = run(*SHORT, tmp_path)
     if forged and what == "a row without its content":  # another number is a number
         return
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "rows.jsonl" in done.stderr, done.stderr

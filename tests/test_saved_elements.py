@@ -85,6 +85,7 @@ def test_every_element_is_read_as_it_was_saved(element, mesh, folder):
     assert_same(Answer.read(folder / "again"), saved)
 
 
+@pytest.mark.slow
 def test_an_adaptive_p2_answer_keeps_its_error(folder):
     """After --element P2 --tol the field that is read has the error that answer.json states."""
     saved = solve(Scene.read(Path(__file__).parent.parent / "demos" / "ball.toml"), element="P2", tol=0.1)
@@ -111,6 +112,7 @@ def test_values_at_points_are_those_of_the_element(element):
     assert np.allclose(solve(scene).at(x), x[:, 0] ** 2 + 2 * x[:, 1] ** 2 + x[:, 0] * x[:, 1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_comparison_takes_the_elements_own_values():
     """The distance of a coarse P2 answer to a fine one is its error, not that of its linear interpolant."""
     scene = membrane(mesh={**SQUARE, "cells": 4}, load=1, upper=9)

@@ -79,6 +79,7 @@ Path.replace = killed
 """
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("old", [False, True], ids=["", "version 0.2"])
 @pytest.mark.parametrize("save", [result, with_time])
@@ -130,6 +131,7 @@ file.write_bytes(whole)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("old", [False, True], ids=["", "version 0.2"])
 @pytest.mark.parametrize("element", ELEMENTS)

@@ -19,6 +19,7 @@ sys.path.insert(0, str(DEMOS))
 TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's
 
 
+@pytest.mark.slow
 def test_petsc_defaults_give_wrong_answers_as_converged_and_ours_do_not(ball):
     """||F_0|| ~ 1/eps makes PETSc's relative test pass far from the solution."""
     from one_added_line import membrane as plain
@@ -104,6 +105,7 @@ def test_two_obstacles_keep_their_digits_at_tiny_eps():
     assert largest(COMM, np.abs(penalty.pressure.x.array - vi.pressure.x.array)) < 1e-6
 
 
+@pytest.mark.slow
 def test_petsc_options_override(ball):
     """A user's option under the solver's prefix wins over the default."""
     options = PETSc.Options()

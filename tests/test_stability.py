@@ -112,6 +112,7 @@ def test_dual_norm(family):
         assert 0.85 < rich <= beta < 1.3
 
 
+@pytest.mark.slow
 def test_dual_norm_by_figures():
     """P1 on right diagonals: 1.209, 1.048, 1.012 over V_h; 1.14, 1.03, 1.008 over H^1_0."""
     ones = [stability("P1", n) for n in (4, 8, 16)]

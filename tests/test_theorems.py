@@ -43,6 +43,7 @@ def test_pressure_has_its_sign_and_balances_the_load(ladder):
         assert largest(COMM, np.abs(unbalanced[~problem.fixed])) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(["string", "disk", "ball", "two_sided"], "disk"))
 def test_orders_in_h(name):
     """(5.6), (5.8), (5.9) with eps = h^2: order 1 in H1 and in energy, at least 1 for the pressure in the dual norm."""
@@ -53,6 +54,7 @@ def test_orders_in_h(name):
     assert order("errors.l2", rows[1], rows[0], "h") > 1.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(["string", "disk", "ball", "two_sided"], "disk"))
 def test_vi_orders_in_h(name):
     """(5.6) for the variational inequality itself: order 1 in H1, 2 in L2."""

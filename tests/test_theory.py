@@ -62,6 +62,7 @@ def test_orders_in_h_at_fixed_eps(halfplane):
     assert set(verdicts(in_eps.at_fixed_eps(halfplane)).values()) == {"not sharp"}
 
 
+@pytest.mark.slow
 def test_orders_along_powers_of_h(halfplane):
     """A jump: 3/4, 3/2, 5/2 for u_eps - u_h and 1/4, 1/2, 3/2 for p_eps - p_h, with eps = h, h^2, h^3."""
     findings = in_eps.together(halfplane, "h")
@@ -76,6 +77,7 @@ def test_paper_is_sharp_for_a_pressure_barely_in_l2():
     assert set(verdicts(in_eps.at_fixed_eps(cone)).values()) == {"sharp"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     slow_except(
@@ -118,6 +120,7 @@ def test_flat_obstacles_hide_it():
     assert all_hold(in_h.claims(in_h.PRESSURES, seen, VI, 0, {"pressure_l2": 1 / 2}))
 
 
+@pytest.mark.slow
 def test_quadratic_elements():
     """(5.6), (5.8) with Q2: u with a jump of p is in H^(5/2-), order 3/2 in H1 and, of p, in the dual norm."""
     seen = errors(in_h.CEILING_Q2, [VI], COMM, dual=True)

@@ -37,6 +37,7 @@ def orders(errors):
     return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order"), slow_except([("euler", 1), ("bdf2", 2)], ("bdf2", 2)))
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_order_of_rate(scheme, order, method):
@@ -155,6 +156,7 @@ def test_euler_falls_in_energy():
     assert energy[-1] >= rest.record["energy"] - 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_equilibria(method):
     """Without rate every moment is the static problem of its data: an indenter pressed in and drawn back."""
@@ -253,6 +255,7 @@ def test_put(method):
     assert np.all(np.diff(exercise[1:]) <= 0)  # the longer to go, the later it pays to exercise
 
 
+@pytest.mark.slow
 def test_press():
     """A ball pressed into a round membrane: force 2 pi a^2/R where the travel is a^2/R (1/2 + ln(1/a))."""
     time_history = solve(Scene.read(DEMOS / "press.toml").change({"time.steps": 5})).time_history
@@ -280,6 +283,7 @@ def test_restart(kind, folder):
         assert np.allclose(ours, theirs, rtol=1e-7, atol=1e-9 * np.nanmax(np.abs(theirs)), equal_nan=True), name
 
 
+@pytest.mark.slow
 def test_what_is_left_of_a_failure(folder):
     """A step that does not converge is named; the state before it is there to go on from."""
     scene = Scene(

@@ -77,6 +77,7 @@ def test_processes_do_not_look_into_the_current_folder(stranger, monkeypatch):
 CONTROL = {"\x1b[2J": "\\x1b[2J", "\x07": "\\x07", "a\rb": "a\\x0db", "\x9b1m": "\\x9b1m", "\u202e": "\\u202e"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", CONTROL)
 def test_control_characters_are_escaped(text, tmp_path):
     """In the titles, names and messages of each command, and in errors in Python."""
@@ -280,6 +281,7 @@ def test_keys_of_many_parts(key, tmp_path):
     assert done.returncode == 2 and done.stderr == "Error: a.toml: nested too deeply\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [
     'mesh = {file = "a\\u0000.msh"}', 'obstacle = {lower = {file = "a\\u0000.csv"}}',
     'effects = {tension = 1, load = {file = "a\\u0000.npy"}}',

@@ -112,6 +112,7 @@ def test_penetration_tends_to_0():
     assert found["uncertainty"]["penetration"]["error"] == found["penetration"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change"),
     slow_except([("ball", {"cells": 64}), ("ball", {"cells": 32, "element": "P2"}), ("string_parabola", {"cells": 64}),
