@@ -16,6 +16,10 @@ LAUNCHER = str(ROOT / "obstacle")
 BIN = ROOT / ".venv" / "bin"
 ON_ALL_CORES = ("-n", "auto", "--maxprocesses", "8", "--dist", "worksteal")
 NOT_SLOW = ("-m", "not slow")
+SUITES = {
+    "scenes": ("hard",), "broken": ("hard", "--broken"), "faults": ("hard", "--faults"),
+    "random": ("hard", "--random", "1000"), "theory": ("theory",),
+}  # fmt: skip
 
 
 @nox.session
@@ -65,6 +69,13 @@ def tests(session: nox.Session) -> None:
             words.append("--by-file")
         session.log(f"tests on {number} rank{'s' * (number != '1')}")
         session.run(LAUNCHER, "--ranks", number, "pytest", *words, *given, external=True)
+
+
+@nox.session
+@nox.parametrize("words", [nox.param(words, id=name) for name, words in SUITES.items()])
+def hard(session: nox.Session, words: tuple[str, ...]) -> None:
+    """The suites, each a session, such as "hard(random)": hard scenes, invalid input, faults, random scenes, theory."""
+    session.run(LAUNCHER, *words, *session.posargs, external=True)
 
 
 @nox.session

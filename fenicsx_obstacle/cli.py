@@ -305,10 +305,11 @@ def scenes(name: str | None) -> None:
 @click.option("--output", type=Place(), default=Path("out/theory"), metavar="DIR",
               help="Folder for pictures and JSON lines.  [out/theory]")  # fmt: skip
 @options("json", "quiet", "log")
-def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> None:
+def theory(number: str | None, output: Path, json_file: str | None, quiet: bool) -> int:
     """In a clone: check Kikuchi's statements: claimed, observed, and a verdict.
 
-    NO is the number of a theorem, example or equation, such as 3.3 or 5.5. Without it all are checked.
+    NO is the number of a theorem, example or equation, such as 3.3 or 5.5. Without it all are checked. The verdict
+    FAILS means exit status 3.
     """
     from fenicsx_obstacle.checkout import add_tests
     from fenicsx_obstacle.show.progress import progress
@@ -322,6 +323,7 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
         rows = show_theory(number, output, say)
     if json_file is not None:
         write_json(json_file, rows)
+    return 3 if any(row["verdict"] == "FAILS" for row in rows) else 0
 
 
 @commands.command()

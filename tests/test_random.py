@@ -9,6 +9,7 @@ import pytest
 from fenicsx_obstacle.errors import InputError, NotConverged
 from tests.conftest import COMM
 from tests.hard.row import FAILED, REJECTED, RIGHT
+from tests.random import draw
 from tests.random.draw import SEED, judged, shares, try_all
 from tests.random.families.all_families import TRUTHS
 from tests.random.families.drifts import Strip
@@ -72,6 +73,20 @@ def test_a_run_continues(tmp_path):
     first = rows[0][0]
     assert first in rows[1] and first["run"] == 1  # with its seconds
     assert {row["run"] for row in rows[1] if row["key"] != first["key"]} == {2}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("file", ["fenicsx_obstacle/forms/penalty.py", "fenicsx_obstacle/a.c", "tests/hard/judge.py"])
+def test_rows_of_other_code(file, tmp_path, monkeypatch):
+    """A row that other code has found or judged is not taken for one of this code; the same code elsewhere keeps it."""
+    keys = []
+    for folder, text in (("old", "a"), ("new", "b"), ("same", "b")):
+        path = tmp_path / folder / file
+        path.parent.mkdir(parents=True)
+        path.write_text(text)
+        monkeypatch.setattr(draw, "ROOT", tmp_path / folder)
+        keys.append(draw.key_of(Told(ANSWER)))
+    assert keys[0] != keys[1] == keys[2]
 
 
 def test_table_of_bounds():

@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import pytest
+from click.testing import CliRunner
 
+from fenicsx_obstacle.cli import commands
 from tests.conftest import COMM, slow_except
-from tests.theory import in_eps, in_h, totals
+from tests.theory import in_eps, in_h, show, totals
 from tests.theory.mesh_sequences import JUMP, VI, MeshSequence, errors, gap
 from tests.theory.show import conclusion, split, table
-from tests.theory.statement import Finding, find
+from tests.theory.statement import Finding, Found, Statement, find
 
 HALFPLANE = MeshSequence("halfplane", "halfplane", JUMP, cells=(16, 32, 64))
 
@@ -48,6 +50,15 @@ def test_rows_are_grouped_by_scene():
     assert conclusion(found).startswith("Conclusion: no value contradicts the theory (4 rows): 4 with exactly")
     failed = Finding("Thm 3.3", "e", "order 1", 1.0, 0.0, "FAILS")
     assert conclusion([*found, failed]) == "Conclusion: FAILS in 1 of 5 rows."
+
+
+@pytest.mark.parametrize("verdict, status", [("sharp", 0), ("misprint", 0), ("FAILS", 3)])
+def test_status_of_the_command(verdict, status, monkeypatch, folder):
+    """A statement that fails ends the command with status 3, wherever its row is in the table."""
+    found = Found([Finding("Thm 3.3", "e", "order 1", 1.0, 1.0, one) for one in ("holds", verdict, "not sharp")], [])
+    monkeypatch.setattr(show, "statements", lambda: [Statement("3.3", "A title", (), lambda _: found)])
+    done = CliRunner().invoke(commands, ["theory", "--output", str(folder)], standalone_mode=False)
+    assert done.return_value == status and done.exception is None
 
 
 @pytest.mark.parametrize("name, s", [("disk_flat", 1 / 2), ("smooth_square", 3 / 2), ("ring_wedge", -1 / 2)])

@@ -10,11 +10,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mpi4py import MPI
 
+from fenicsx_obstacle.checkout import ROOT
 from fenicsx_obstacle.errors import InputError, ObstacleError
 from fenicsx_obstacle.io.origin import versions
 from fenicsx_obstacle.studies.rows import RowStore
@@ -135,8 +138,19 @@ def described(scene: Family) -> Row:
 
 
 def key_of(scene: Family) -> str:
-    """Of a scene and the versions that its row depends on."""
-    return hashlib.sha256(json.dumps([repr(scene), versions()], sort_keys=True).encode()).hexdigest()[:16]
+    """Of a scene and of what its row depends on: the versions, the package's code, and the suites' code."""
+    parts = [repr(scene), versions(), code(ROOT)]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def code(clone: Path) -> str:
+    """A hash of the code of a clone that solves and judges."""
+    found = hashlib.sha256()
+    for folder in ("fenicsx_obstacle", "tests/hard", "tests/random"):
+        for file in sorted(path for path in (clone / folder).rglob("*") if path.suffix in (".py", ".c", ".toml")):
+            found.update(f"{file.relative_to(clone)} {hashlib.sha256(file.read_bytes()).hexdigest()}".encode())
+    return found.hexdigest()
 
 
 def run(
