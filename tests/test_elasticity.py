@@ -45,7 +45,7 @@ def test_stresses_of_a_stretched_body(plane, sizes):
 
 @pytest.mark.parametrize("axis", [None, (1.0, 1.0, 0.0)])
 def test_gaps_end_on_the_surface(axis):
-    """x + gap n lies on the near side of the ball or the cylinder, on the plane; beside the ball the gap ends nearest to
+    """x + gap n is on the near side of the ball or the cylinder, on the plane; beside the ball the gap ends nearest to
     the centre."""
     mesh = dmesh.create_unit_cube(COMM, 1, 1, 1)
     x, n = ufl.SpatialCoordinate(mesh), np.array([0.0, 0.6, 0.8])
