@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -104,6 +105,19 @@ def test_two_obstacles_keep_their_digits_at_tiny_eps():
     assert largest(COMM, np.abs(penalty.pressure.x.array - vi.pressure.x.array)) < 1e-6
 
 
+def test_another_reference_leaves_u():
+    """w is counted from the obstacle that u touches, and u = w + r stays."""
+    problem = SolverContext(membrane(load=1, lower=-0.5, upper=0.25)).problem
+    (fixed, _), x = problem.data.fixed, problem.level.points[0]
+    problem.set_reference(0.2 * x - 0.4)
+    u_values = 0.25 + 0.1 * x
+    u_values[fixed] = 0.0
+    problem.w.x.array[:] = u_values - problem.reference.x.array
+    assert problem.update_reference()
+    assert largest(COMM, np.abs(problem.solution().x.array - u_values)) <= 1e-15
+    assert largest(COMM, np.abs(np.delete(problem.reference.x.array, fixed) - 0.25)) == 0
+
+
 def test_petsc_options_override(ball):
     """A user's option under the solver's prefix wins over the default."""
     options = PETSc.Options()
@@ -150,9 +164,10 @@ def test_cycling_ends_by_continuation_in_eps(ball, eps, monkeypatch):
     problem = SolverContext(ball.change({"mesh.cells": 16})).problem
     exact = newton.solve_penalty(problem, eps), problem.solution().x.array.copy()
     problem.set_reference(problem.cold_start())
-    settled, outcomes = newton._settled, list[Outcome]()
+    settled, outcomes, values = newton._settled, list[Outcome](), list[float]()
 
     def cycles_first(*given):
+        values.append(float(problem.eps.value))
         outcome = settled(*given)
         outcomes.append(outcome if outcomes else replace(outcome, reason=CYCLING))
         return outcomes[-1]
@@ -160,16 +175,36 @@ def test_cycling_ends_by_continuation_in_eps(ball, eps, monkeypatch):
     monkeypatch.setattr(newton, "_settled", cycles_first)
     found = newton.solve_penalty(problem, eps)
     assert found.converged and len(outcomes) > 2
+    steps = [after / before for before, after in pairwise(values[1:])]
+    assert values[-1] == eps and min(steps) >= newton.CONTINUATION_FACTOR * (1 - 1e-12) and max(steps) < 1, values
     assert found.iterations == sum(one.iterations for one in outcomes) > exact[0].iterations
     assert largest(COMM, np.abs(problem.solution().x.array - exact[1])) < 1e-12
 
 
-@pytest.mark.parametrize("name", ["ball", "disk", "two_sided", "string"])
-def test_nodal_path_is_the_forms(name):
+def test_continuation_in_eps_begins_from_the_start(monkeypatch):
+    """Where Newton's method fails, as it may if forms are nonlinear, its last state is no start."""
+    problem = SolverContext(Scene(mesh={"shape": "rectangle", "cells": 8}, large_slope=1, load=-1, lower=-0.02)).problem
+    start, settled, starts = problem.solution().x.array.copy(), newton._settled, list[np.ndarray]()
+
+    def fails_first(*given):
+        starts.append(problem.solution().x.array.copy())
+        outcome = settled(*given)
+        return outcome if len(starts) > 1 else replace(outcome, reason=CYCLING)
+
+    monkeypatch.setattr(newton, "_settled", fails_first)
+    assert newton.solve_penalty(problem, 1e-6).converged
+    assert largest(COMM, np.abs(problem.solution().x.array - start)) > 1e-3
+    assert largest(COMM, np.abs(starts[1] - start)) <= 1e-15
+
+
+@pytest.mark.parametrize(
+    ("name", "more"), [("ball", {}), ("disk", {}), ("two_sided", {}), ("string", {}), ("wall", {"mesh.x": [0, 3]})]
+)
+def test_nodal_path_is_the_forms(name, more):
     """Products with A, f and D give what the UFL forms give: residual, energy and Jacobian."""
     from fenicsx_obstacle.discrete.assembly import Forms
 
-    problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16})).problem
+    problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16, **more})).problem
     problem.eps.value = 1e-3
     own, fast = problem.level.owned, problem.forms
     x = problem.level.points
