@@ -12,6 +12,7 @@ from fenicsx_obstacle import NotConverged, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.solvers import newton
+from fenicsx_obstacle.solvers.nested import begin_from
 from fenicsx_obstacle.solvers.snes import Outcome
 from fenicsx_obstacle.solvers.stopping import CYCLING
 from tests.conftest import BENCHMARKS, COMM, DEMOS, MORE_ON_SEVERAL_RANKS, membrane, slow_except
@@ -110,6 +111,8 @@ def test_another_reference_leaves_u():
     problem = SolverContext(membrane(load=1, lower=-0.5, upper=0.25)).problem
     (fixed, _), x = problem.data.fixed, problem.level.points[0]
     problem.set_reference(0.2 * x - 0.4)
+    near = np.setdiff1d(np.flatnonzero(x < 0.4), fixed)
+    assert largest(COMM, np.abs(problem.reference.x.array[near] + 0.5)) == 0  # the nearest obstacle
     u_values = 0.25 + 0.1 * x
     u_values[fixed] = 0.0
     problem.w.x.array[:] = u_values - problem.reference.x.array
@@ -198,7 +201,7 @@ def test_continuation_in_eps_begins_from_the_start(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "more"), [("ball", {}), ("disk", {}), ("two_sided", {}), ("string", {}), ("wall", {"mesh.x": [0, 3]})]
+    ("name", "more"), [("ball", {}), ("disk", {}), ("two_sided", {}), ("string", {}), ("wall", {"mesh.x": [0, 1.5]})]
 )
 def test_nodal_path_is_the_forms(name, more):
     """Products with A, f and D give what the UFL forms give: residual, energy and Jacobian."""
@@ -208,7 +211,7 @@ def test_nodal_path_is_the_forms(name, more):
     problem.eps.value = 1e-3
     own, fast = problem.level.owned, problem.forms
     x = problem.level.points
-    problem.w.x.array[:] += 0.3 * np.sin(7 * x[0] + 3 * x[1])
+    problem.w.x.array[:] += np.sin(7 * x[0] + 3 * x[1])
     out = [fast.vector() for _ in range(4)]
     fast.elastic(out[0])
     fast.reaction(out[1])
@@ -216,6 +219,7 @@ def test_nodal_path_is_the_forms(name, more):
     Forms.reaction(fast, out[3])
     for ours, forms in ((0, 2), (1, 3)):
         scale = largest(COMM, np.abs(out[forms].array[:own]))
+        assert scale > 0
         assert largest(COMM, np.abs(out[ours].array - out[forms].array)) <= 1e-13 * scale
     A = problem.jacobian(problem.state())
     B = A.duplicate()
@@ -272,6 +276,20 @@ def test_coarse_springs_meet_a_shift_with_the_force_of_the_finer_level(beyond):
     scale = largest(COMM, np.abs(theirs.array_r))
     assert 0 < scale == largest(COMM, theirs.array_r * moves.array_r)
     assert largest(COMM, np.abs((ours.array_r - theirs.array_r) * moves.array_r)) <= 1e-12 * scale
+
+
+def test_between_contact_nodes_gaps_are_interpolated():
+    """A coarse solution that is 0.01 below a curved obstacle at all inner nodes starts 0.01 below it on the fine level:
+    not on chords."""
+    curve, mesh = "-1 - x^2", {"shape": "interval", "x": [0, 1], "cells": 64}
+    context = SolverContext(Scene(mesh=mesh, tension=1, load=-1, lower=curve, boundary=[{"value": curve}]))
+    problem, coarse = context.problem, context._hierarchy()[-2].problem
+    coarse.set_reference(coarse.data.lower.x.array)
+    coarse.w.x.array[: coarse.level.owned][~coarse.fixed] = -0.01
+    begin_from(problem, coarse)
+    x, gap = problem.level.points[0], problem.solution().x.array - problem.data.lower.x.array
+    inside = (x > 0.1) & (x < 0.9)
+    assert largest(COMM, np.abs(gap + 0.01)[inside]) <= 1e-14
 
 
 def test_line_contact_is_seen_on_coarse_levels():
