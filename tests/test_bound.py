@@ -164,6 +164,18 @@ def test_admissible_state_is_admissible():
         assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
 
 
+def test_given_values_stay_beside_a_boundary_obstacle():
+    """v_h is above a concave obstacle on a side, by more than the obstacle at its nodes; not where u is given."""
+    sides = [{"on": ["left", "bottom", "top"], "value": 0}, {"on": "right", "lower": "y*(1 - y)/2"}]
+    context = SolverContext(membrane(boundary=sides))
+    v = context.answer(bound=True).bound.admissible.x.array
+    dofs, values = context.problem.data.fixed
+    assert largest(COMM, np.abs(v - values.x.array)[dofs]) < ROUND_OFF
+    free = np.setdiff1d(np.flatnonzero(context.problem.level.points[0] > 1 - 1e-9), dofs)
+    y = context.problem.level.points[1, free]
+    assert largest(COMM, -(v[free] - y * (1 - y) / 2)) < -ROUND_OFF
+
+
 @pytest.mark.parametrize("boundary", ["0.1*sin(5*x)^2", "0.3 - x^2 - y^2/2"])
 def test_the_bound_of_the_admissible_state_is_a_root(boundary):
     """||u - v_h|| <= x + eta_g + eta_p for the root x > 0 of x^2 = S x + eta_C, where eta_C is the integral of contact
