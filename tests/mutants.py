@@ -3,17 +3,18 @@
     .venv/bin/python tests/mutants.py --check          every old text stands once in its file
     .venv/bin/python tests/mutants.py --only 3,17      run these mutants
     .venv/bin/python tests/mutants.py --layer bounds   those of a layer
-    .venv/bin/python tests/mutants.py                  all, for some hours on one core
+    .venv/bin/python tests/mutants.py                  all, for half an hour on one core
+    .venv/bin/python tests/mutants.py --results FILE   the same; run again, it goes on with those not in FILE
 
-The mutants are in mutants.toml. Each runs in a copy of the checkout, with `pytest -x` on one rank, until a test fails.
-The table at the end has the share found by layer. A mutant that no test sees is a gap, or an equivalent program: its
-line says which where that is known.
+The mutants are in mutants.toml. Each runs in a copy of the checkout, with `pytest -x`, until a test fails. The table at
+the end has the share found by layer. A mutant that no test sees is a gap, or an equivalent program: then the comment
+above its line says why.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import json
 import shutil
 import subprocess
 import sys
@@ -24,9 +25,11 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from fenicsx_obstacle.launcher import environment, mpirun
+
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = ("fenicsx_obstacle", "tests", "demos", "benchmarks", "docs", "pyproject.toml", "README.md", "obstacle")
-LIMIT = 900  # seconds for the tests of one mutant; a mutant that hangs is found
+LIMIT = 300  # seconds for the tests of one mutant; a mutant that hangs is found
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class Mutant:
         file: Relative to the package.
         old: The text that is replaced; it stands once in the file.
         new: The wrong text.
-        tests: Files of tests, and options of pytest, that cover it.
+        tests: Files of tests that cover it, or single tests of them.
+        ranks: On how many they run.
     """
 
     number: int
@@ -48,21 +52,32 @@ class Mutant:
     old: str
     new: str
     tests: tuple[str, ...]
+    ranks: int = 1
 
     @property
     def path(self) -> str:
         return f"fenicsx_obstacle/{self.file}"
 
+    @property
+    def key(self) -> str:
+        """It in a file of results: no number, which changes with the list."""
+        return f"{self.file}: {self.old} -> {self.new}"
+
 
 def mutants() -> list[Mutant]:
     """The list."""
     layers = tomllib.loads((ROOT / "tests" / "mutants.toml").read_text())["layer"]
-    rows = [(layer, row) for layer in layers for row in layer["mutants"]]
+    rows = [(layer, *row, *(layer["tests"], 1)[len(row) - 3 :]) for layer in layers for row in layer["mutants"]]
     return [
-        Mutant(number, layer["name"], row[0], row[1], row[2], tuple(f"tests/{name}.py" for name in (
-            row[3].split() if len(row) > 3 else layer["tests"].split())))
-        for number, (layer, row) in enumerate(rows, 1)
-    ]  # fmt: skip
+        Mutant(number, layer["name"], file, old, new, tuple(_path(name) for name in tests.split()), ranks)
+        for number, (layer, file, old, new, tests, ranks) in enumerate(rows, 1)
+    ]
+
+
+def _path(name: str) -> str:
+    """The argument of pytest for a file of tests, `test_a`, or one test, `test_a::test_b`."""
+    file, *one = name.split("::")
+    return "::".join([f"tests/{file}.py", *one])
 
 
 def misplaced(every: list[Mutant]) -> list[str]:
@@ -73,8 +88,15 @@ def misplaced(every: list[Mutant]) -> list[str]:
         count = file.read_text().count(one.old) if file.exists() else 0
         if count != 1:
             found.append(f"{one.number}: {one.file}: {one.old!r} stands there {count} times")
-        found += [f"{one.number}: no {test}" for test in one.tests if not (ROOT / test).exists()]
+        found += [f"{one.number}: no {test}" for test in one.tests if not _stands(test)]
     return found
+
+
+def _stands(test: str) -> bool:
+    """Whether a file of tests, or a test in it, exists."""
+    name, *one = test.split("::")
+    file = ROOT / name
+    return file.exists() and all(f"def {function}(" in file.read_text() for function in one)
 
 
 def seen(one: Mutant, scratch: Path) -> tuple[str, str]:
@@ -82,11 +104,13 @@ def seen(one: Mutant, scratch: Path) -> tuple[str, str]:
     file = scratch / one.path
     right = file.read_text()
     file.write_text(right.replace(one.old, one.new))
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not slow", *one.tests]
-    environment = {**os.environ, "PYTHONPATH": str(scratch), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-m", "pytest", "-x", "-m", "not slow", *one.tests]
+    if one.ranks > 1:
+        command = [*mpirun(one.ranks), *command]
+    changed = {**environment(), "PYTHONPATH": str(scratch), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run(
-            command, cwd=scratch, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+            command, cwd=scratch, env=changed, capture_output=True, text=True, timeout=LIMIT, check=False
         )
     except subprocess.TimeoutExpired:
         return "hangs", ""
@@ -103,6 +127,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="Only whether all texts are there.")
     parser.add_argument("--layer")
     parser.add_argument("--only", default="", help="Numbers, such as 3,17.")
+    parser.add_argument("--results", type=Path, help="JSON: each verdict is kept there, and not found again.")
     given = parser.parse_args()
     every = mutants()
     wrong = misplaced(every)
@@ -111,7 +136,9 @@ def main() -> int:
         return 1 if wrong else 0
     numbers = {int(text) for text in given.only.split(",") if text}
     chosen = [one for one in every if given.layer in (None, one.layer) and (not numbers or one.number in numbers)]
-    counts: Counter[tuple[str, str]] = Counter()
+    verdicts: dict[str, str] = {}
+    if given.results is not None and given.results.exists():
+        verdicts = json.loads(given.results.read_text())
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
         scratch = Path(folder)
         for name in COPIED:
@@ -119,11 +146,15 @@ def main() -> int:
             copy = shutil.copytree if source.is_dir() else shutil.copy
             copy(source, scratch / name)
         for one in chosen:
+            if one.key in verdicts:
+                continue
             start = time.monotonic()
-            verdict, test = seen(one, scratch)
-            counts[one.layer, verdict] += 1
-            print(f"{one.number:3} {one.layer:10} {verdict:7} {time.monotonic() - start:5.0f} s  "
+            verdicts[one.key], test = seen(one, scratch)
+            print(f"{one.number:3} {one.layer:10} {verdicts[one.key]:7} {time.monotonic() - start:5.0f} s  "
                   f"{one.file}: {one.new!r} {test}", flush=True)  # fmt: skip
+            if given.results is not None:
+                given.results.write_text(json.dumps(verdicts, indent=1))
+    counts = Counter((one.layer, verdicts[one.key]) for one in chosen)
     for layer in dict.fromkeys(one.layer for one in chosen):
         total = sum(count for (name, _), count in counts.items() if name == layer)
         print(f"{layer:10} {total - counts[layer, 'missed']} of {total} found")

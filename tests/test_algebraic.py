@@ -6,10 +6,13 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
+from petsc4py import PETSc
 
 from fenicsx_obstacle import Scene, releases, solve
+from fenicsx_obstacle.algebra import coarse as coarse_module
 from fenicsx_obstacle.algebra import kernels
 from fenicsx_obstacle.algebra.coarse import COARSEST, CoarseSystem
+from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete import hierarchy
 from fenicsx_obstacle.discrete.hierarchy import coarse_problems
@@ -204,6 +207,36 @@ def test_given_values_are_interpolated_from_given_values():
         assert largest(COMM, np.abs(leak[coarse.finer.fixed])) == 0
         assert largest(COMM, -coarse.weights) <= 0
         assert total(COMM, coarse.weights) == pytest.approx(total(COMM, problem.weights))
+
+
+def test_coarse_levels_begin_in_contact_as_the_finest_does():
+    """Where contact alone holds u, the first step of a start without contact would have no solution."""
+    problem, levels = levels_of(square(60), boundary=[], load=-1, lower="0.2*cos(2*x) + 0.1*y")
+    assert levels and largest(COMM, problem.cold_start() - problem.lower) < 0
+    for coarse in levels:
+        finer = coarse.finer
+        theirs = finer.transfer.inject(finer.cold_start())
+        assert largest(COMM, np.abs(coarse.cold_start() - theirs)) == 0
+
+
+def test_weights_of_a_boundary_stay_there():
+    """Of a boundary node that is interpolated from nodes inside as well, those on the boundary get all the weight."""
+    problem, levels = levels_of(
+        square(60), lower=None, boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": -1}]
+    )
+    x = problem.level.points[0, : problem.level.owned]
+    for coarse in levels:
+        x = coarse.finer.transfer.inject(np.ascontiguousarray(x))
+        assert total(COMM, coarse.weights) == pytest.approx(total(COMM, problem.weights))
+        assert total(COMM, coarse.weights[x < 2]) == 0
+
+
+def test_coarse_weights_are_not_negative():
+    """Of a node that is interpolated with a negative share, 3/2 of one coarse node less 1/2 of another, the first one
+    gets the whole weight."""
+    P = PETSc.Mat().createDense((2, 2), array=np.array([[1.0, 0.0], [1.5, -0.5]]), comm=MPI.COMM_SELF).convert("aij")
+    transfer = Transfer(P, inject=lambda fine: fine, of_means=False)
+    assert np.allclose(coarse_module._weights(np.array([1.0, 4.0]), transfer, thin=False), [5.0, 0.0], atol=1e-15)
 
 
 @pytest.mark.slow

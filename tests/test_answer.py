@@ -46,6 +46,12 @@ def test_force_balance(disk):
     assert np.isclose(support - record["contact"]["upper"]["force"], -load, rtol=1e-9)
 
 
+def test_supports_are_no_contact():
+    """Where u is given it may lie on the obstacle: its support bears that node's load, h^2 of 1, not the obstacle."""
+    found = solve(membrane(load=-1, lower=0), method="vi")
+    assert found.force.lower == pytest.approx(15**2 / 16**2, rel=1e-9)
+
+
 def test_saved_answer_reads_back(disk, folder):
     """Same fields, figures and history, whatever the partition."""
     answer = solve(disk, eps=1e-6, cells=16)

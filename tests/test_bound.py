@@ -20,6 +20,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.points import values_at
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.bound import Bound
+from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.simplices import halved_rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
@@ -163,6 +164,42 @@ def test_admissible_state_is_admissible():
                 assert smallest(COMM, gap) > -ROUND_OFF
         dofs, values = context.problem.data.fixed
         assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
+
+
+def test_given_values_stay_beside_a_boundary_obstacle():
+    """v_h is above a concave obstacle on a side, by more than the obstacle at its nodes; not where u is given."""
+    sides = [{"on": ["left", "bottom", "top"], "value": 0}, {"on": "right", "lower": "y*(1 - y)/2"}]
+    context = SolverContext(membrane(boundary=sides))
+    v = context.answer(bound=True).bound.admissible.x.array
+    dofs, values = context.problem.data.fixed
+    assert largest(COMM, np.abs(v - values.x.array)[dofs]) < ROUND_OFF
+    free = np.setdiff1d(np.flatnonzero(context.problem.level.points[0] > 1 - 1e-9), dofs)
+    y = context.problem.level.points[1, free]
+    assert largest(COMM, -(v[free] - y * (1 - y) / 2)) < -ROUND_OFF
+
+
+@pytest.mark.parametrize("boundary", ["0.1*sin(5*x)^2", "0.3 - x^2 - y^2/2"])
+def test_the_bound_of_the_admissible_state_is_a_root(boundary):
+    """||u - v_h|| <= x + eta_g + eta_p for the root x > 0 of x^2 = S x + eta_C, where eta_C is the integral of contact
+    force times gap; terms that are 0 in one scene are not in the other."""
+    dome = "0.3 - x^2 - y^2/2" if boundary.startswith("0.3") else "0.3 - 2*((x - 1/2)^2 + (y - 1/2)^2)"
+    context = SolverContext(membrane(lower=dome, boundary=[{"value": boundary}]))
+    bound = context.answer(bound=True).bound
+    problem, element = context.problem, context.estimator.element
+    terms = element.terms(problem.solution().x.array, *touching(problem, element.reach))
+
+    def norm(squares):
+        return np.sqrt(total(COMM, squares))
+
+    eta_g, eta_p, eta_C = norm(element.rim_energy()), norm(terms.cover), total(COMM, terms.contact)
+    assert eta_g > 0 and (eta_p > 0) == (boundary == dome)
+    S = norm(terms.admissible_balanced) + element.friedrichs * norm(terms.rest) + eta_g + eta_p
+    root = bound.admissible_total - eta_g - eta_p
+    assert root**2 == pytest.approx(S * root + eta_C, rel=1e-9)
+    simplices, (points, weights) = element.simplices, halved_rule(2)
+    gap = terms.admissible[simplices.dofs] @ points.T - simplices.values(context.scene.field(dome, "lower"), points)
+    work = simplices.area * terms.flux.lower.mean(axis=1) * (gap @ weights)
+    assert 0.5 * eta_C < total(COMM, work) <= eta_C * (1 + 1e-12)
 
 
 @pytest.mark.slow

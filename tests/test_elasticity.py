@@ -45,7 +45,8 @@ def test_stresses_of_a_stretched_body(plane, sizes):
 
 @pytest.mark.parametrize("axis", [None, (1.0, 1.0, 0.0)])
 def test_gaps_end_on_the_surface(axis):
-    """x + gap n lies on the ball, the cylinder, the plane; beside the ball the gap ends nearest to the centre."""
+    """x + gap n is on the near side of the ball or the cylinder, on the plane; beside the ball the gap ends nearest to
+    the centre."""
     mesh = dmesh.create_unit_cube(COMM, 1, 1, 1)
     x, n = ufl.SpatialCoordinate(mesh), np.array([0.0, 0.6, 0.8])
     centre, outward = np.array([0.5, 1.5, 2.0]), np.array([0.0, -1.0, -2.0])
@@ -54,21 +55,39 @@ def test_gaps_end_on_the_surface(axis):
         point = x + gap * ufl.as_vector(n.tolist())
         return COMM.allreduce(fem.assemble_scalar(releases.form(abs(distance(point)) * ufl.dx(domain=mesh))))
 
-    def from_surface(point):
+    def from_centre(point):
         there = point - ufl.as_vector(centre.tolist())
         if axis is not None:
             along = ufl.as_vector((np.array(axis) / np.linalg.norm(axis)).tolist())
             there = there - ufl.dot(there, along) * along
+        return there
+
+    def from_surface(point):
+        there = from_centre(point)
         return ufl.sqrt(ufl.dot(there, there)) - 1.3
+
+    def behind_centre(point):
+        return ufl.max_value(ufl.dot(from_centre(point), ufl.as_vector(n.tolist())), 0.0)
 
     def along(direction):
         middle, direction = ufl.as_vector(centre.tolist()), ufl.as_vector(direction.tolist())
         return lambda point: ufl.dot(point - middle, direction)
 
     assert off(ball_gap(x, n, centre, 1.3, axis), from_surface) < 1e-12
+    assert off(ball_gap(x, n, centre, 1.3, axis), behind_centre) < 1e-12
     assert off(plane_gap(x, n, centre, outward), along(outward)) < 1e-12
     centre[0] = 50.0
     assert off(ball_gap(x, n, centre, 1.3), along(n)) < 1e-12
+
+
+def test_measure_with_axial_symmetry():
+    """int r over the boundary of the unit square is 0 on the left, 1 on the right, 1/2 on the other sides: 2 in all;
+    other plane bodies keep the measure."""
+    u = displacement(2)
+    ds = ufl.Measure("ds", domain=u.function_space.mesh)
+    axial, strain = (Elasticity(u, young=E, poisson=NU, plane=plane).over(ds) for plane in ("axial", "strain"))
+    assert np.isclose(COMM.allreduce(fem.assemble_scalar(releases.form(1.0 * axial))), 2.0)
+    assert strain is ds
 
 
 @pytest.mark.slow

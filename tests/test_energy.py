@@ -55,6 +55,17 @@ def compare(scene):
         assert np.array_equal(now, then)
 
 
+def test_added_forces_act_at_once():
+    """a(u, .) - f of the present state, not of the next one alone."""
+    problem = SolverContext(Scene(mesh=SQUARE, lower=-1, tension=1, load=-1), COMM).problem
+    forces = np.cos(3 * problem.level.points[0, : problem.level.owned])
+    before, after = problem.law.vector(), problem.law.vector()
+    problem.law.elastic(before)
+    problem.nodal_forms.add_forces(forces)
+    problem.law.elastic(after)
+    assert largest(COMM, np.abs(before.array_r - forces - after.array_r)) <= 1e-14
+
+
 @pytest.mark.parametrize("given", [False, True])
 def test_of_a_form(given):
     """The energy of F is that of its quadratic functional, up to its value at 0; a given functional is taken itself."""

@@ -198,6 +198,11 @@ def test_the_matrix_is_kept(monkeypatch):
     own.mu.value = 2.0
     problem.solve(eps=1e-7)
     assert len(count) == 1
+    problem.solve(eps=1e-7)
+    assert len(count) == 1
+    own.mu.value = 1.0  # as it was first
+    problem.solve(eps=1e-7)
+    assert len(count) == 2
 
 
 def test_drift_that_begins_later():

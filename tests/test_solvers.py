@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, Scene, solve
 from fenicsx_obstacle.algebra import newton
+from fenicsx_obstacle.algebra.nested import begin_from
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import CYCLING
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -105,6 +107,19 @@ def test_two_obstacles_keep_their_digits_at_tiny_eps():
     assert largest(COMM, np.abs(penalty.pressure.x.array - vi.pressure.x.array)) < 1e-6
 
 
+def test_another_reference_leaves_u():
+    """w is counted from the obstacle that u touches, and u = w + r stays."""
+    problem = SolverContext(membrane(load=1, lower=-0.5, upper=0.25)).problem
+    fixed, x = problem.fixed, problem.level.points[0, : problem.owned]
+    problem.set_reference(0.2 * x - 0.4)
+    assert largest(COMM, np.abs(problem.state.r[(x < 0.4) & ~fixed] + 0.5)) == 0  # the nearest obstacle
+    u_values = np.where(fixed, 0.0, 0.25 + 0.1 * x)
+    problem.w[:] = u_values - problem.state.r
+    assert problem.update_reference()
+    assert largest(COMM, np.abs(problem.u - u_values)) <= 1e-15
+    assert largest(COMM, np.abs(problem.state.r[~fixed] - 0.25)) == 0
+
+
 @pytest.mark.slow
 def test_petsc_options_override(ball):
     """A user's option under the solver's prefix wins over the default."""
@@ -152,9 +167,10 @@ def test_cycling_ends_by_continuation_in_eps(ball, eps, monkeypatch):
     problem = SolverContext(ball.change({"mesh.cells": 16})).problem
     exact = newton.solve_penalty(problem, eps), problem.solution().x.array.copy()
     problem.set_reference(problem.cold_start())
-    settled, outcomes = newton._settled, list[Outcome]()
+    settled, outcomes, values = newton._settled, list[Outcome](), list[float]()
 
     def cycles_first(*given):
+        values.append(problem.eps)
         outcome = settled(*given)
         outcomes.append(outcome if outcomes else replace(outcome, reason=CYCLING))
         return outcomes[-1]
@@ -162,20 +178,40 @@ def test_cycling_ends_by_continuation_in_eps(ball, eps, monkeypatch):
     monkeypatch.setattr(newton, "_settled", cycles_first)
     found = newton.solve_penalty(problem, eps)
     assert found.converged and len(outcomes) > 2
+    steps = [after / before for before, after in pairwise(values[1:])]
+    assert values[-1] == eps and min(steps) >= newton.CONTINUATION_FACTOR * (1 - 1e-12) and max(steps) < 1, values
     assert found.iterations == sum(one.iterations for one in outcomes) > exact[0].iterations
     assert largest(COMM, np.abs(problem.solution().x.array - exact[1])) < 1e-12
 
 
-@pytest.mark.parametrize("name", ["ball", "disk", "two_sided", "string"])
-def test_nodal_path_is_the_forms(name):
+def test_continuation_in_eps_begins_from_the_start(monkeypatch):
+    """Where Newton's method fails, as it may if forms are nonlinear, its last state is no start."""
+    problem = SolverContext(Scene(mesh={"shape": "rectangle", "cells": 8}, large_slope=1, load=-1, lower=-0.02)).problem
+    start, settled, starts = problem.solution().x.array.copy(), newton._settled, list[np.ndarray]()
+
+    def fails_first(*given):
+        starts.append(problem.solution().x.array.copy())
+        outcome = settled(*given)
+        return outcome if len(starts) > 1 else replace(outcome, reason=CYCLING)
+
+    monkeypatch.setattr(newton, "_settled", fails_first)
+    assert newton.solve_penalty(problem, 1e-6).converged
+    assert largest(COMM, np.abs(problem.solution().x.array - start)) > 1e-3
+    assert largest(COMM, np.abs(starts[1] - start)) <= 1e-15
+
+
+@pytest.mark.parametrize(
+    ("name", "more"), [("ball", {}), ("disk", {}), ("two_sided", {}), ("string", {}), ("wall", {"mesh.x": [0, 1.5]})]
+)
+def test_nodal_path_is_the_forms(name, more):
     """Products with A, f and D give what the UFL forms give: residual, energy and Jacobian."""
     from fenicsx_obstacle.discrete.assembly import Forms
 
-    problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16})).problem
+    problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16, **more})).problem
     problem.eps = 1e-3
     own, fast = problem.level.owned, problem.law
     x = problem.level.points
-    problem.w[:] += 0.3 * np.sin(7 * x[0] + 3 * x[1])[:own]
+    problem.w[:] += np.sin(7 * x[0] + 3 * x[1])[:own]
     problem.state.share()
     out = [fast.vector() for _ in range(4)]
     fast.elastic(out[0])
@@ -184,6 +220,7 @@ def test_nodal_path_is_the_forms(name):
     Forms.reaction(fast, out[3])
     for ours, forms in ((0, 2), (1, 3)):
         scale = largest(COMM, np.abs(out[forms].array[:own]))
+        assert scale > 0
         assert largest(COMM, np.abs(out[ours].array - out[forms].array)) <= 1e-13 * scale
     A = problem.jacobian(problem.vector())
     B = A.duplicate()
@@ -240,6 +277,20 @@ def test_coarse_springs_meet_a_shift_with_the_force_of_the_finer_level(beyond):
     scale = largest(COMM, np.abs(theirs.array_r))
     assert 0 < scale == largest(COMM, theirs.array_r * moves.array_r)
     assert largest(COMM, np.abs((ours.array_r - theirs.array_r) * moves.array_r)) <= 1e-12 * scale
+
+
+def test_between_contact_nodes_gaps_are_interpolated():
+    """A coarse solution that is 0.01 below a curved obstacle at all inner nodes starts 0.01 below it on the fine level:
+    not on chords."""
+    curve, mesh = "-1 - x^2", {"shape": "interval", "x": [0, 1], "cells": 64}
+    context = SolverContext(Scene(mesh=mesh, tension=1, load=-1, lower=curve, boundary=[{"value": curve}]))
+    problem, coarse = context.problem, context._hierarchy()[-2].problem
+    coarse.set_reference(coarse.lower)
+    coarse.w[~coarse.fixed] = -0.01
+    begin_from(problem, coarse)
+    x, gap = problem.level.points[0], problem.solution().x.array - problem.data.lower.x.array
+    inside = (x > 0.1) & (x < 0.9)
+    assert largest(COMM, np.abs(gap + 0.01)[inside]) <= 1e-14
 
 
 def test_line_contact_is_seen_on_coarse_levels():
