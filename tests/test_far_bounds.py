@@ -205,7 +205,7 @@ def test_bounds(element):
 
 @pytest.mark.parametrize("far", slow_except([1.0, 1e2, 1e3, 1e12, np.inf], 1e3, np.inf))
 def test_a_minimal_surface_without_an_energy(far):
-    """Full Newton steps diverge from u = 0: the line search comes first, and never sees the far bound."""
+    """Full Newton steps diverge from u = 0; the line search begins where they did."""
     own = Plate(cells=7)
     own.g.interpolate(lambda x: (x[0] - 0.5) ** 2 - (x[1] - 0.5) ** 2)
     slope = ufl.grad(own.u)
@@ -217,7 +217,7 @@ def test_a_minimal_surface_without_an_energy(far):
         steps.append(solution.iterations)
         forces.append(solution.force.lower)
     assert forces[1] == pytest.approx(forces[0], rel=1e-8)
-    assert steps[0] == steps[1] <= 8
+    assert max(steps) <= 45  # 20 full steps, once more by a direct solver, and few of the line search
 
 
 def test_a_flat_start():

@@ -53,9 +53,9 @@ def solve_penalty(
 
     Full steps first: where a(.,.) is an M-matrix active sets only decrease after the first step, and the iteration is
     finite; (3.4)* checks that they do. Should they repeat, a line search on the convex energy breaks the cycle, or on
-    the norm of the residual where there is no energy. A residual that is not linear begins with the line search; where
-    all that fails, because of a nonlinear operator and a small eps together, continuation in eps starts from the same
-    state.
+    the norm of the residual where there is no energy. A residual that is not linear and has an energy begins with the
+    line search; where all that fails, because of a nonlinear operator and a small eps together, continuation in eps
+    starts from the same state.
 
     Args:
         problem: Holds the start, then the solution.
@@ -155,18 +155,22 @@ def smallest_eps(problem: Problem) -> float:
 def _attempts(problem: Problem, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
-    A line search ends where the round-off of the energy, or of the norm of the residual, hides any descent: full steps
-    continue from there.
+    A line search ends where the round-off of the energy hides any descent: full steps continue from there. Where full
+    steps did not reduce the residual, it begins where they did.
     """
     if user_has_set(problem.options_of("penalty") + "snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
-    searches = ("basic", "bt", "basic") if problem.affine else ("bt", "basic")
+    searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
+    start = problem.w.x.array.copy()
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
         if outcome.converged or outcome.reason == ACTIVE_SET_GREW or is_limited(problem, "penalty"):
             break
         if outcome.reason == TOO_MANY and "patience" in how and (problem.affine or search == "basic"):
             break  # far from a solution: full steps would diverge
+        forces = [step.unbalanced for step in outcome.history]
+        if search == "bt" and not problem.affine and not min(forces[-1:], default=np.inf) < max(forces[:1], default=0):
+            problem.w.x.array[:] = start  # full steps have led nowhere
         outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome
 
