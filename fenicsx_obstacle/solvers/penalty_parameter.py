@@ -3,7 +3,8 @@
 eps = "auto" is chosen before the solve, from the tension of a scene or the diagonal of A at the initial guess. Whether
 it is small enough depends on the solution: the penetration eps p on the pressure, the stiffness on u if the problem is
 nonlinear, and on the place of contact if there are several materials. So each penalty solve ends here with a check of
-its solution, for scenes, forms, bodies and steps in time alike.
+its solution, for scenes, forms, bodies and steps in time alike. Where rate or inertia act, all steps are taken again with
+the eps of the one that lowered it (`answers.time_stepper`).
 """
 
 from __future__ import annotations
@@ -85,6 +86,8 @@ class PenaltySolve:
 
     Attributes:
         eps: Penalty parameter in units of u/p; after a solve with "auto" the one that fits its solution.
+        first: The eps with which each solve begins.
+        automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
     """
 
     def __init__(self, eps: float, share: float, *, automatic: bool, successive: bool, source: str):
@@ -93,12 +96,12 @@ class PenaltySolve:
         Args:
             eps: Of the first solve, in units of u/p.
             share: Of a step in time, as for `Method`.
-            automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
+            automatic: See the attribute.
             successive: As for `solve_penalty`.
             source: What messages call the problem.
         """
-        self.eps, self._first, self._share = eps, eps, share
-        self._automatic, self._successive, self._source = automatic, successive, source
+        self.eps, self.first, self._share = eps, eps, share
+        self.automatic, self._successive, self._source = automatic, successive, source
 
     def __call__(self, problem: Problem, *, tolerance: float = TOLERANCE, **how: Any) -> Outcome:
         """Solve from the present state (collective).
@@ -112,9 +115,9 @@ class PenaltySolve:
         Raises:
             NotConverged: With PETSc's reason, or if no eps is found that fits its solution.
         """
-        self.eps = self._first  # each step in time depends on its start alone
+        self.eps = self.first
         outcome = self._once(problem, tolerance, how)
-        if tolerance >= LIMIT or not self._automatic:
+        if tolerance >= LIMIT or not self.automatic:
             if tolerance < LIMIT and (found := large_penetration(problem)) and problem.level.comm.rank == 0:
                 warnings.warn(f"{self._source} {found}", PenetrationWarning, stacklevel=2)
             return outcome
