@@ -3,8 +3,8 @@
 eps = "auto" is chosen before the solve, from the tension of a scene or the diagonal of A at the initial guess. Whether
 it is small enough depends on the solution: the penetration eps p on the pressure, the stiffness on u if the problem is
 nonlinear, and on the place of contact if there are several materials. So each penalty solve ends here with a check of
-its solution, for scenes, forms, bodies and steps in time alike. Where rate or inertia act, all steps are taken again with
-the eps of the one that lowered it (`answers.time_stepper`).
+its solution, for scenes, forms, bodies and steps in time alike. With rate or inertia all steps are
+then taken again with the smaller eps (`answers.time_stepper`).
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from differences import Difference, agreed, differences, expanded, shortened  # 
 from fenicsx_obstacle.launcher import environment, mpirun  # noqa: E402
 
 BASELINE = HERE / "baseline"
-SILENCE = 180  # seconds without a result after which the ranks are ended
+SILENCE = 1000  # seconds without a result after which the ranks are ended
 ALWAYS = {"NUMPY_MADVISE_HUGEPAGE": "0", "COLUMNS": "120", "TERM": "dumb"}  # what memory and words depend on
 Results = dict[str, dict[str, Any]]
 
