@@ -187,3 +187,35 @@ def test_other_types_of_snes_are_refused_by_name(kind):
     problem = ObstacleProblem(form.F, form.u, bcs=form.bc, lower=-0.3, petsc_options=options)
     with pytest.raises(InputError, match=f"vi_snes_type = {kind}: the method vi is made for vinewtonrsls alone"):
         problem.solve(method="vi")
+
+
+MOTIONS = {
+    "rate": {"rate": 1, "load": "-6*t", "lower": -0.05},
+    "inertia": {"inertia": 1, "rate": 0.5, "load": -4, "lower": "-0.08 - 0.05*x"},
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_all_steps_in_time_have_the_same_eps(motion, folder):
+    """A penetration that another eps makes smaller is no motion: a force of its own would grow with 1/dt."""
+
+    def moved(end=1.0, saved=None, **how):
+        scene = Scene(
+            mesh={"shape": "rectangle", "cells": 6}, tension=1, time={"end": end, "steps": round(40 * end), "start": 0},
+            **MOTIONS[motion],
+        )  # fmt: skip
+        return solve(scene, keep=saved, **how)
+
+    def forces(solution):
+        return np.nan_to_num(solution.time_history.column("force_lower"))
+
+    found = moved()
+    eps = found.record["eps"]
+    assert eps < 0.5 * moved(end=0.1).record["eps"]  # it was lowered on the way
+    same = moved(eps=eps)
+    assert forces(found) == pytest.approx(forces(same), rel=1e-9, abs=1e-12)
+    moved(end=0.9, saved=folder).save(folder)
+    assert moved(restart=folder).force.lower == pytest.approx(found.force.lower, rel=1e-9)
+    if motion == "rate":
+        accurate = forces(moved(method="vi"))
+        assert largest(COMM, abs(forces(found) - accurate)) <= 1e-3 * accurate.max()

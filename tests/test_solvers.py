@@ -6,9 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import NotConverged, Scene, solve
+from fenicsx_obstacle import NotConverged, ObstacleProblem, Scene, releases, solve
 from fenicsx_obstacle.algebra import newton
 from fenicsx_obstacle.algebra.nested import begin_from
 from fenicsx_obstacle.algebra.snes import Outcome
@@ -315,3 +318,32 @@ def test_three_dimensions():
     assert record["newton_iterations"] <= 6
     assert record["krylov_iterations"] <= 12 + MORE_ON_SEVERAL_RANKS
     assert record["errors"]["max"] < 0.05
+
+
+LAWS = {
+    "minimal surface": lambda u, v: ufl.dot(ufl.grad(u), ufl.grad(v)) / ufl.sqrt(1 + ufl.dot(ufl.grad(u), ufl.grad(u))),
+    "cubic reaction": lambda u, v: ufl.dot(ufl.grad(u), ufl.grad(v)) + 50 * u**3 * v,
+    "porous medium": lambda u, v: (1 + 20 * u**2) * ufl.dot(ufl.grad(u), ufl.grad(v)),
+}
+
+
+@pytest.mark.parametrize("eps", [1e-4, 1e-8])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("law", LAWS)
+def test_full_steps_for_nonlinear_forms_without_an_energy(law, degree, eps):
+    """The norm of the residual is of the size of 1/eps after the first step: a search on it takes 40 to 130 steps."""
+    mesh = dmesh.create_unit_square(COMM, 24 // degree, 24 // degree)
+    mesh.topology.create_connectivity(1, 2)
+    V = releases.functionspace(mesh, "Lagrange", degree)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    edge = fem.locate_dofs_topological(V, 1, dmesh.exterior_facet_indices(mesh.topology))
+    F = (LAWS[law](u, v) + 3 * v) * ufl.dx
+    problem = ObstacleProblem(F, u, bcs=fem.dirichletbc(PETSc.ScalarType(0), edge, V), lower=-0.1)
+    force, steps = [], []
+    for how in ({"eps": eps}, {"method": "vi"}):
+        u.x.array[:] = 0.0
+        solution = problem.solve(**how)
+        force.append(solution.force.lower)
+        steps.append(solution.iterations)
+    assert steps[0] <= 12
+    assert force[0] == pytest.approx(force[1], rel=50 * eps + 1e-6)

@@ -36,14 +36,19 @@ class Method:
 
     Attributes:
         solve: From its present state; takes `multigrid`.
-        eps: Penalty parameter that it begins with, in units of u/p, or None.
+        penalty: The penalty solve, or None.
         share: Of the force that balances a step in time, the part that is the contact force: 1, or 1/2 with inertia.
     """
 
     solve: Callable[..., Outcome]
-    eps: float | None
+    penalty: PenaltySolve | None
     share: float
     _force: Callable[[System], np.ndarray]
+
+    @property
+    def eps(self) -> float | None:
+        """Penalty parameter that a solve begins with, in units of u/p, or None."""
+        return None if self.penalty is None else self.penalty.eps
 
     def pressure(self, problem: System) -> np.ndarray:
         """Contact pressure at owned points of I of the problem just solved (collective)."""
@@ -73,7 +78,7 @@ def method_of(problem: System, options: SolverOptions, *, known: float | None = 
     penalty = PenaltySolve(
         eps, share, automatic=automatic, successive=asked == "successive", source=options.source
     )  # fmt: skip
-    return Method(_named(penalty, asked), eps, share, penalty_pressure)
+    return Method(_named(penalty, asked), penalty, share, penalty_pressure)
 
 
 def _named(solve: Callable[..., Outcome], asked: str) -> Callable[..., Outcome]:

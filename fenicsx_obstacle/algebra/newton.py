@@ -52,10 +52,9 @@ def solve_penalty(
     """Solve (3.4) from the problem's present state (collective).
 
     Full steps first: where a(.,.) is an M-matrix active sets only decrease after the first step, and the iteration is
-    finite. Should they repeat, a line search on the convex energy breaks the cycle, or on
-    the norm of the residual where there is no energy. A residual that is not linear begins with the line search; where
-    all that fails, because of a nonlinear operator and a small eps together, continuation in eps starts from the same
-    state.
+    finite. Should they repeat, a line search on the convex energy breaks the cycle, or on the norm of the residual if
+    there is no energy. A residual that is not linear and has an energy begins with the line search; where all that
+    fails, because of a nonlinear operator and a small eps together, continuation in eps starts from the same state.
 
     Args:
         problem: Holds the start, then the solution.
@@ -155,18 +154,21 @@ def smallest_eps(problem: System) -> float:
 def _attempts(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """Full steps and line searches in turn, each from the last state of the one before, until one converges.
 
-    A line search ends where the round-off of the energy, or of the norm of the residual, hides any descent: full steps
-    continue from there.
+    A line search ends where the round-off of the energy hides any descent: full steps continue from there. For a
+    residual that is not linear it begins where full steps, which did not converge, began.
     """
     if user_has_set(problem.options_of("penalty") + "snes_linesearch_type"):
         return _attempt(problem, "basic", how, multigrid, objective=problem.has_energy)
-    searches = ("basic", "bt", "basic") if problem.affine else ("bt", "basic")
+    searches = ("basic", "bt", "basic") if problem.affine or not problem.has_energy else ("bt", "basic")
+    start = problem.w.copy()
     outcome = _attempt(problem, searches[0], how, multigrid)
     for search in searches[1:]:
         if outcome.converged or is_limited(problem, "penalty"):
             break
         if outcome.reason == TOO_MANY and "patience" in how and (problem.affine or search == "basic"):
             break  # far from a solution: full steps would diverge
+        if search == "bt" and not problem.affine:
+            problem.w[:] = start  # full steps have led nowhere
         outcome = joined(outcome, _attempt(problem, search, how, multigrid))
     return outcome
 

@@ -3,7 +3,8 @@
 eps = "auto" is chosen before the solve, from the tension of a scene or the diagonal of A at the initial guess. Whether
 it is small enough depends on the solution: the penetration eps p on the pressure, the stiffness on u if the problem is
 nonlinear, and on the place of contact if there are several materials. So each penalty solve ends here with a check of
-its solution, for scenes, forms, bodies and steps in time alike.
+its solution, for scenes, forms, bodies and steps in time alike. With rate or inertia all steps are
+then taken again with the smaller eps (`answers.time_stepper`).
 """
 
 from __future__ import annotations
@@ -81,12 +82,12 @@ def _share_of_compliance(problem: System) -> float:
     return problem.eps_share * float(np.median(everywhere))
 
 
-@dataclass(frozen=True)
+@dataclass
 class PenaltySolve:
     """`solve_penalty`, with a check of eps at the solution.
 
     Attributes:
-        eps: Of the first solve, in units of u/p. Each step in time begins with it, and depends on its start alone.
+        eps: With which each solve begins, in units of u/p. A solve does not change it.
         share: Of a step in time, as for `Method`.
         automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
         successive: As for `solve_penalty`.

@@ -41,6 +41,7 @@ def write(folder: Path, level: Level, steps: Steps, time_history: TimeHistory) -
             "times": np.array(steps.times),
             "rows": np.array(json.dumps([dict(row) for row in time_history.rows]).encode()),
         }
+        arrays |= {"eps": np.array(steps.eps)} if steps.eps is not None else {}
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
         try:
@@ -81,6 +82,7 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
     steps = Steps(moments.order, moments.scheme, 0.0, past[0], velocity)
     steps.times = [float(t) for t in stored["times"][: steps.depth + 1]]
     steps.u_values = past[: steps.depth + 1]
+    steps.eps = float(stored["eps"]) if "eps" in stored else None
     if steps.times[0] >= moments.end * (1 - NO_STEP):
         raise InputError(f"{place}: stands at {moments.name} = {steps.times[0]:g} already; set a later [time] end")
     return steps, TimeHistory(tuple(rows), tuple(frames))
@@ -103,6 +105,8 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], lis
                 shape, kind = found[name].shape, found[name].dtype.kind
                 if kind != "f" or shape[:1] != (count,) or (name == "points" and shape != (count, 3)):
                     raise ValueError(f"'{name}' has shape {shape}")
+        if "eps" in found and not (found["eps"].dtype.kind == "f" and found["eps"].shape == () and found["eps"] > 0):
+            raise ValueError("its eps is none")
         if not isinstance(rows, list) or not all(isinstance(row, dict) and {"step", "t"} <= set(row) for row in rows):
             raise ValueError("its rows are none")
         return found, rows, from_arrays(frames, count)

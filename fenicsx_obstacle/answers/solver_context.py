@@ -313,7 +313,8 @@ class SolverContext:
             solve: Callable[[], list[Outcome]] = partial(self._at_rest, method, grids)
         else:  # the last moment is the best start
             solve = lambda: [method.solve(problem, multigrid=grid)]  # noqa: E731
-        return TimeStepper(problem, below, solve, partial(state_of, problem, method), self._reported, self._fields)
+        state = partial(state_of, problem, method)
+        return TimeStepper(problem, below, solve, state, self._reported, self._fields, method.penalty)
 
     def _reported(self, state: State) -> dict[str, float | None]:
         """The output quantities of [report] (collective)."""

@@ -25,12 +25,14 @@ class Steps:
         u_values: u there, ghosts included.
         velocity: u_t at the newest, with inertia.
         impulse: a(u, .) - f at the newest, at owned nodes, with inertia.
+        eps: Penalty parameter of all steps, with the penalty method.
     """
 
     def __init__(self, order: int, scheme: str, t: float, u: np.ndarray, velocity: np.ndarray | None = None):
         self.order, self.depth = order, DEPTH.get(scheme, 1)
         self.times, self.u_values, self.velocity = [t], [u], velocity
         self.impulse: np.ndarray | None = None
+        self.eps: float | None = None
 
     def prepare(self, problem: Problem, t: float) -> None:
         """Set the difference formulas of the step to t; `Problem.move` then updates the data."""

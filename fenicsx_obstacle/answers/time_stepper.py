@@ -13,6 +13,7 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.penalty_parameter import PenaltySolve
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers import checkpoint
@@ -51,6 +52,7 @@ class TimeStepper:
         state: Callable[[], State],
         reported: Callable[[State], Row],
         fields: Callable[[State], Answer],
+        penalty: PenaltySolve | None,
     ):
         """Prepare.
 
@@ -61,12 +63,13 @@ class TimeStepper:
             state: The present state, solved (collective).
             reported: Its figures of [report] (collective).
             fields: Its fields.
+            penalty: The penalty solve, whose eps is that of all steps; None if there is none.
         """
         self.problem, self.below = problem, below
         self._solve, self._state, self._reported, self._fields = solve, state, reported, fields
+        self._penalty = penalty
         assert problem.model.time is not None
         self.moments: TimeDiscretization = problem.model.time
-        self.rows, self.frames = list[Row](), list[Frame]()
         self._newton = self._krylov = self._rejected = self._shortened = 0
         self._within: DataWithinSteps | None = None
         self._size = 0.0
@@ -86,8 +89,11 @@ class TimeStepper:
             InputError: If data are wrong at some moment.
             NotConverged: At a step that cannot be shortened. The state before it is in `keep` then.
         """
-        self._begin(restart)
-        return self._advance(keep)
+        outcome = None
+        while outcome is None:
+            self._begin(restart)
+            outcome = self._advance(keep)
+        return outcome
 
     @contextmanager
     def _at(self, t: float) -> Iterator[None]:
@@ -100,8 +106,8 @@ class TimeStepper:
         except NotConverged as error:
             raise error.changed(reason=f"{error.reason}, {when}") from None
 
-    def _advance(self, keep: Path | None) -> Outcome:
-        """All steps (collective)."""
+    def _advance(self, keep: Path | None) -> Outcome | None:
+        """All steps; None where one of them has lowered eps (collective)."""
         dt, written = self._first_step(), self._now()
         while (t := self._next(dt)) is not None:
             before = self.steps.times[0]
@@ -117,6 +123,9 @@ class TimeStepper:
                     raise
                 dt, self._rejected = (t - before) / 4, self._rejected + 1
                 continue
+            if self._lowers_eps(outcomes[-1]):
+                self._count(outcomes)
+                return None
             u = self._heights()
             if self.moments.tolerance is not None:
                 added = self.steps.error(self.problem, t, u)
@@ -136,6 +145,19 @@ class TimeStepper:
                 written = self._now()
         self._keep(keep)
         return outcomes[-1]
+
+    def _lowers_eps(self, last: Outcome) -> bool:
+        """Whether the last step needed a smaller eps; those that follow begin with it.
+
+        Penetrations of another eps differ, which `rate` and `inertia` would take for a motion with a force of its own:
+        all steps have the same eps.
+        """
+        penalty = self._penalty
+        if penalty is None or self.moments.order == EQUILIBRIA or last.eps is None or last.eps == penalty.eps:
+            return False
+        _log.info("eps is lowered to %.2g: all steps begin anew with it", last.eps)
+        penalty.eps = last.eps
+        return True
 
     def _misses_data(self, before: float, t: float, u: np.ndarray | None = None) -> bool:
         """Whether data change within the step from `before` to t in a way that the step misses (collective).
@@ -189,8 +211,11 @@ class TimeStepper:
 
     def _begin(self, restart: Path | None) -> None:
         problem, moments = self.problem, self.moments
+        self.rows, self.frames = list[Row](), list[Frame]()
         if restart is not None:
             self.steps, time_history = checkpoint.read(restart, problem.level, moments)
+            if self._penalty is not None and self._penalty.automatic and self.steps.eps is not None:
+                self._penalty.eps = min(self._penalty.eps, self.steps.eps)
             self.rows, self.frames = list(time_history.rows), list(time_history.frames)
             self._move(self.steps.times[0], self.steps.u_values[0])
             self._remember()
@@ -371,4 +396,5 @@ class TimeStepper:
 
     def _keep(self, folder: Path | None) -> None:
         if folder is not None:
+            self.steps.eps = None if self._penalty is None else self._penalty.eps
             checkpoint.write(folder, self.problem.level, self.steps, self.time_history)

@@ -24,27 +24,23 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
+sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 
 from differences import Difference, agreed, differences, expanded, shortened  # noqa: E402
 
+from fenicsx_obstacle.launcher import environment, mpirun  # noqa: E402
+
 BASELINE = HERE / "baseline"
-SILENCE = 180  # seconds without a result after which the ranks are ended
-ENVIRONMENT = {  # of the launcher `obstacle`
-    "OMP_NUM_THREADS": "1", "SCOTCH_PTHREAD_NUMBER": "1", "PYTHONNOUSERSITE": "1",
-    "OMPI_MCA_btl_vader_single_copy_mechanism": "none", "OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1",
-    "OMPI_MCA_btl": "^tcp,uct,openib,ofi", "OMPI_MCA_mpi_yield_when_idle": "1", "OMPI_MCA_orte_execute_quiet": "1",
-    "OMPI_MCA_smsc": "^cma", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "NUMPY_MADVISE_HUGEPAGE": "0", "COLUMNS": "120", "TERM": "dumb",
-}  # fmt: skip
+SILENCE = 1000  # seconds without a result after which the ranks are ended
+ALWAYS = {"NUMPY_MADVISE_HUGEPAGE": "0", "COLUMNS": "120", "TERM": "dumb"}  # what memory and words depend on
 Results = dict[str, dict[str, Any]]
 
 
 def results(code: Path, ranks: int, only: str) -> Results:
     """Run the cases with the package of a checkout: name and values of each."""
     python = next((path for path in [code / ".venv" / "bin" / "python"] if path.exists()), Path(sys.executable))
-    launch = ["mpirun", "-n", str(ranks), "--oversubscribe", "--bind-to", "none"] if ranks > 1 else []
-    environment = {**os.environ, **ENVIRONMENT, "PYTHONPATH": str(code)}  # first: the package of this checkout
+    launch = mpirun(ranks) if ranks > 1 else []
+    given = {**environment(), **ALWAYS, "PYTHONPATH": str(code)}  # first: the package of this checkout
     found: Results = {}
     with tempfile.TemporaryDirectory(prefix="golden") as scratch:
         out, skip = Path(scratch) / "results.jsonl", Path(scratch) / "skip"
@@ -53,7 +49,7 @@ def results(code: Path, ranks: int, only: str) -> Results:
             skip.write_text("\n".join(found))
             work = [*launch, str(python), str(HERE / "worker.py"), str(out), str(skip), only]
             with open(Path(scratch) / "errors", "w") as errors:
-                process = subprocess.Popen(work, cwd=scratch, env=environment, stdout=errors,
+                process = subprocess.Popen(work, cwd=scratch, env=given, stdout=errors,
                                            stderr=errors, start_new_session=True)  # fmt: skip
                 status = _wait(process, out)
             found = {line["name"]: line["values"] for line in map(json.loads, out.read_text().splitlines())}

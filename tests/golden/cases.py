@@ -12,8 +12,11 @@ from zlib import crc32
 import numpy as np
 from mpi4py import MPI
 
+import fenicsx_obstacle
+
 COMM = MPI.COMM_WORLD
 DEMOS = Path(__file__).resolve().parents[2] / "demos"
+CHECKOUT = Path(fenicsx_obstacle.__file__).resolve().parents[1]  # of the package that runs
 Values = dict[str, Any]
 # times, memory, versions and places differ from run to run; the last ones say nothing
 VOLATILE = {"seconds", "memory_mb", "versions", "command", "ranks", "poisson_seconds", "poisson_units",
@@ -59,13 +62,18 @@ def case(name: str, ranks: tuple[int, ...] = ALL) -> Callable[[Callable[[Path], 
 
 
 def flat(record: Mapping[str, Any], prefix: str = "") -> Values:
-    """A nested record with dotted names, without what differs from run to run; short lists of numbers stay lists."""
+    """A nested record with dotted names, without what differs from run to run; short lists of numbers stay lists.
+
+    Of files only the names stay, not the checksums: some hold times and places.
+    """
     values: Values = {}
     for key, value in record.items():
         if value is None or key.endswith("seconds") or not VOLATILE.isdisjoint(key.split(".")):
             continue
         name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
+        if key == "files" and isinstance(value, Mapping):
+            values[name] = sorted(value)
+        elif isinstance(value, Mapping):
             values |= flat(value, f"{name}.")
         elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
             for number, one in enumerate(value):
@@ -86,6 +94,17 @@ def plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.11g}") if math.isfinite(value) else str(value)
     return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+def placeless(value: Any, folder: Path) -> Any:
+    """A value in whose words FOLDER, DEMOS and CHECKOUT stand for places of this run."""
+    if isinstance(value, list):
+        return [placeless(one, folder) for one in value]
+    if not isinstance(value, str):
+        return value
+    for place, name in ((folder, "FOLDER"), (DEMOS, "DEMOS"), (CHECKOUT, "CHECKOUT")):
+        value = value.replace(str(place), name)
+    return value
 
 
 def norms(function: Any) -> list[float]:

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 import click
-from cases import ALL, COMM, DEMOS, ONE, VOLATILE, Values, add, flat, plain
+from cases import ALL, COMM, DEMOS, ONE, VOLATILE, Values, add, flat, placeless, plain
 
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.errors import ObstacleError
@@ -54,8 +54,7 @@ def invoke(arguments: list[str], folder: Path) -> Values:
 
 def words(text: str, folder: Path) -> list[str]:
     """Lines without times and places."""
-    text = text.replace(str(folder), "FOLDER").replace(str(DEMOS), "DEMOS")
-    text = TIMES.sub(r"# \1", text)
+    text = TIMES.sub(r"# \1", placeless(text, folder))
     if COMM.size > 1:
         text = KRYLOV.sub("# linear steps", text)
     return [re.sub(r" {2,}", "  ", line.rstrip()) for line in text.splitlines() if line.strip()]

@@ -94,14 +94,17 @@ def allowance(field: str, ranks: int) -> float:
 
 
 def floor(field: str, values: dict[str, Any]) -> float:
-    """The scale of values that may be 0 up to round-off: sums of forces in reports, algebraic errors in bounds."""
-    group = field.partition(".")[0]
-    if group == "json" and field.endswith(("observed", "expected")):  # of a statement; many are 0
+    """The scale of values that may be 0 up to round-off: a share of the largest value that stands beside them."""
+    if field.startswith("json.") and field.endswith(("observed", "expected")):  # of a statement; many are 0
         return 1e-3
-    if group not in ("report", "bound"):
+    group = field.rpartition(".")[0]
+    if not group:
         return 0.0
-    sizes = [abs(value) for key, value in values.items() if key.startswith(f"{group}.") and isinstance(value, float)]
-    return 0.01 * max(sizes, default=0.0)
+    # sums of forces in reports, and algebraic errors in bounds, are differences of larger numbers
+    share = 1e-2 if group.endswith(("report", "bound")) else 1e-4
+    beside = [value for key, value in values.items() if key.startswith(f"{group}.")]
+    numbers = [one for value in beside for one in (value if isinstance(value, list) else [value])]
+    return share * max((abs(one) for one in numbers if isinstance(one, float)), default=0.0)
 
 
 def distance(one: Any, other: Any, scale: float = 0.0) -> float:

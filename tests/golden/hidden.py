@@ -10,16 +10,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
-from cases import ALL, COMM, DEMOS, ONE, Values, add, case, digest, plain
+from cases import ALL, COMM, DEMOS, ONE, Values, add, case, digest, flat, plain
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
-from problems import Membrane, elastic, with_term
+from problems import TARGET, Membrane, elastic, with_term
 from scenes import BOX, DISK, L_SHAPE, QUADS, SQUARE, STRING, WAVE
 
-from fenicsx_obstacle import ObstacleProblem, Scene, releases, solve
+from fenicsx_obstacle import ObstacleProblem, Scene, find, releases, solve
 
 TURNS = ("direct solver", "cold start", "too far away")  # in the log, where a solve takes another way
 
@@ -163,6 +164,26 @@ def other_ways() -> None:
     turned("large-slope", lambda: solve(Scene(mesh={**SQUARE, "cells": 16}, large_slope=1, load=-3.5, lower=-0.3)))
 
 
+def forced() -> None:
+    """Starts that do not serve: the interpolant of the coarser level is not a number, no start has a step to go."""
+
+    def spoilt(problem: Any, coarse: Any) -> None:
+        problem.w.x.array[:] = np.nan
+
+    def cold(method: str) -> Any:
+        with patch("fenicsx_obstacle.algebra.nested.begin_from", spoilt):
+            return Membrane(n=40).problem().solve(method=method)
+
+    for method in ("penalty", "vi"):
+        turned(f"forced-cold-{method}", lambda method=method: cold(method))
+
+    @case("turn/forced-far")
+    def _(folder: Path) -> Values:
+        with turns() as found, patch("fenicsx_obstacle.algebra.nested.FEW", 0):
+            rows = find(Scene(**TARGET), {"define.a": (1, 4)}, "force = 3")
+        return {"turns": found, **flat({str(number): row for number, row in enumerate(rows)})}
+
+
 def _rubber(poisson: float) -> Scene:
     """A nearly incompressible block under a cylinder."""
     return Scene(
@@ -258,5 +279,5 @@ def memory() -> None:
     grows("60-forms", lambda: Membrane().problem().solve(), 8e6, times=60)
 
 
-for subject in (discrete, other_ways, many_ranks, memory):
+for subject in (discrete, other_ways, forced, many_ranks, memory):
     subject()

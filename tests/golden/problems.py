@@ -419,6 +419,7 @@ def _written(folder: Path, kind: str) -> Table:
 
 SCENE: dict[str, Any] = {"mesh": {"shape": "rectangle", "cells": 8}, "tension": 1, "load": -4, "lower": "-0.1 - 0.1*x",
                          "report": {"mean": "integral(u)"}, "define": {"a": 1}}  # fmt: skip
+TARGET = {**SCENE, "load": "-4*a", "report": {"force": "integral(p)"}}
 POINTS = np.array([[0.3, 0.4], [0.51, 0.77], [0.5, 0.5], [0.1, 0.9], [2.0, 2.0]])
 
 
@@ -491,9 +492,8 @@ def studies() -> None:
     rows("element", lambda: study("ball", {"cells": [4, 8]}, element="P2"))
     rows("define", lambda: study(Scene(**{**SCENE, "load": "-4*a"}), {"define.a": [1, 2]}))
     rows("uncertainty", lambda: study(Scene(**SCENE), {"cells": [8, 16]}, uncertainty=True), ONE)
-    target = {**SCENE, "load": "-4*a", "report": {"force": "integral(p)"}}
-    rows("find", lambda: find(Scene(**target), {"define.a": (1, 4)}, "force = 3"))
-    rows("find-area", lambda: find(Scene(**target), {"define.a": (1, 4)}, "area = 0.5", within=1e-2))
+    rows("find", lambda: find(Scene(**TARGET), {"define.a": (1, 4)}, "force = 3"))
+    rows("find-area", lambda: find(Scene(**TARGET), {"define.a": (1, 4)}, "area = 0.5", within=1e-2))
 
 
 def lines() -> None:
@@ -541,7 +541,10 @@ def lines() -> None:
     mistake("degree-3", lambda: Membrane(degree=3).problem())
     mistake("floating", lambda: Membrane(load=1).problem(bcs=[]).solve())
     mistake("nan-load", lambda: Membrane(load=np.nan).problem().solve())
-    mistake("no-of", lambda: ObstacleProblem(*_vector_form(), upper=1))
+    mistake("no-measure", lambda: ObstacleProblem(*_vector_form(), upper=1))
+    mistake("no-of", lambda: ObstacleProblem(*_vector_form(), upper=1, measure=ufl.ds))
+    for name, sub in (("mixed", 1), ("mixed-vector", 2)):
+        mistake(name, lambda sub=sub: _mixed(sub))
     mistake("scene-effect", lambda: Scene(mesh={"shape": "disk"}, tensoin=1))
     mistake("scene-mesh", lambda: Scene(mesh={"shape": "disc"}, tension=1))
     mistake("scene-datum", lambda: Scene(mesh={"shape": "disk"}, tension=[1, 2, 3]))
@@ -554,6 +557,15 @@ def lines() -> None:
     mistake("at", lambda: Membrane().problem().solve().at([0.5, 0.5, 0.5, 0.5]))
     mistake("at-name", lambda: Membrane().problem().solve().at([0.5, 0.5], "pressur"))
     mistake("flux-of-form", lambda: Membrane().problem().solve().at([0.5, 0.5], "flux"))
+
+
+def _mixed(second: int) -> ObstacleProblem:
+    """Two unknowns in one space, of which the second has so many components."""
+    mesh = mesh_of("triangle")
+    one = ufl.FiniteElement("Lagrange", mesh.ufl_cell(), 1)
+    V = fem.FunctionSpace(mesh, ufl.MixedElement([one, one if second == 1 else ufl.VectorElement(one, second)]))
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    return ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
 
 
 def _vector_form() -> tuple[Any, Any]:
