@@ -171,6 +171,21 @@ def test_the_remedy_where_nothing_converges(dim, load):
     assert "start from another u, or take the method vi" in str(caught.value)
 
 
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize(("dim", "degree"), [(1, 2), (2, 1)])
+def test_contact_alone_in_any_unit(dim, degree, method):
+    """Contact bears the whole load, and the start is at the obstacle: steps do not depend on the unit of u."""
+    steps = []
+    for size in (1e-3, 1.0, 1e3):
+        form = Form(dim, 8, lambda u, x, size=size: ufl.exp(-u / fem.Constant(u.function_space.mesh, size)), -size,
+                    degree=degree)  # fmt: skip
+        problem = ObstacleProblem(form.F, form.u, lower=lambda x, size=size: 0.3 * size * (x[0] - 0.4) ** 2)
+        solution = problem.solve(method=method)
+        assert solution.force.lower == pytest.approx(size, rel=1e-6)
+        steps.append(solution.iterations)
+    assert steps[0] == steps[1] == steps[2] <= 12
+
+
 @pytest.mark.parametrize("kind", ["vinewtonssls", "newtonls"])
 def test_other_types_of_snes_are_refused_by_name(kind):
     """The stopping test is made for vinewtonrsls, and newtonls ignores bounds."""
