@@ -167,8 +167,9 @@ def test_the_remedy_where_nothing_converges(dim, load):
     form = Form(dim, 8, lambda u, x: 1 / ufl.sqrt(1 + ufl.inner(ufl.grad(u), ufl.grad(u))), load)
     with pytest.raises(NotConverged) as caught:
         form.problem(lower=-1.0).solve()
-    assert "larger eps" not in str(caught.value)
-    assert "start from another u, or take the method vi" in str(caught.value)
+    words = str(caught.value)
+    assert "larger eps" not in words
+    assert "start from another u, or take the method vi" in words or "round-off determines u" in words
 
 
 @pytest.mark.parametrize("method", ["penalty", "vi"])
