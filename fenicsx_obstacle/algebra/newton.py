@@ -117,7 +117,7 @@ def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) 
     for _ in range(MAX_REFERENCE_UPDATES):
         # sets also repeat if the reference r of w is not the obstacle in contact
         final = outcome.reason == TOO_MANY and is_limited(problem, "penalty")
-        if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+        if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited) or in_balance(outcome):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
     return outcome
@@ -181,6 +181,12 @@ def _attempt(
     options = {**NEWTON, "snes_linesearch_type": search}
     objective |= search == "bt" and problem.has_energy
     return run(problem, "penalty", options, stopping, objective=objective, multigrid=multigrid)
+
+
+def in_balance(outcome: Outcome) -> bool:
+    """Whether a state converged without the round-off of w being felt: with another reference r it is in balance too,
+    since u has not moved."""
+    return outcome.converged and not outcome.roundoff_limited
 
 
 def joined(first: Outcome, second: Outcome) -> Outcome:

@@ -9,7 +9,15 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.multigrid import Multigrid
-from fenicsx_obstacle.algebra.newton import MAX_REFERENCE_UPDATES, NEWTON, PATIENCE, joined, soft_eps, solve_penalty
+from fenicsx_obstacle.algebra.newton import (
+    MAX_REFERENCE_UPDATES,
+    NEWTON,
+    PATIENCE,
+    in_balance,
+    joined,
+    soft_eps,
+    solve_penalty,
+)
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor, Stopping
 from fenicsx_obstacle.algebra.system import System
@@ -83,7 +91,9 @@ def _settled(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) 
     """All attempts, with the reference r at the obstacle that each node touches."""
     outcome = _attempts(problem, multigrid, how)
     for _ in range(MAX_REFERENCE_UPDATES):
-        if not outcome.converged or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+        if not outcome.converged:
+            break
+        if not problem.update_reference(roundoff_limited=outcome.roundoff_limited) or in_balance(outcome):
             break
         outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0, "before": outcome.active}))
     return outcome

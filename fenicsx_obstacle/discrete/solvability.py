@@ -99,8 +99,8 @@ def check_support(problem: Problem) -> Support:
         extreme = (smallest if sign < 0 else largest)(comm, u_values[known])
         if np.isfinite(extreme):
             # beside an obstacle on a part of the boundary: at its lowest or highest place
-            start[here] = extreme + sign
-            start[known] = u_values[known] + sign
+            start[here] = np.nextafter(extreme, sign * np.inf)
+            start[known] = np.nextafter(u_values[known], sign * np.inf)
     if any(effect.holds for effect in problem.model.effects):
         # a support below round-off may still hold u before it reaches an obstacle that is far off
         far = np.zeros(count)

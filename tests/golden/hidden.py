@@ -168,7 +168,7 @@ def forced() -> None:
     """Starts that do not serve: the interpolant of the coarser level is not a number, no start has a step to go."""
 
     def spoilt(problem: Any, coarse: Any) -> None:
-        problem.w.x.array[:] = np.nan
+        problem.w[:] = np.nan
 
     def cold(method: str) -> Any:
         with patch("fenicsx_obstacle.algebra.nested.begin_from", spoilt):
