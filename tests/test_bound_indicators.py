@@ -24,6 +24,7 @@ def test_a_power_law_of_exponent_two():
     assert linear.guaranteed and not power.guaranteed and power.energy is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "missing"),
     [

@@ -20,6 +20,7 @@ def bound(tension, sides=(1.0, 1.0), cells=8, **data):
     return solve(scene, bound=True, eps=1e-4).bound
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_affine_maps(dim):
     """On a stretched domain with a tension that undoes it all energies are those of the domain times the determinant:

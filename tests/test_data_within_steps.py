@@ -150,7 +150,7 @@ FORMULAS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("text", FORMULAS)
+@pytest.mark.parametrize("text", slow_except(FORMULAS, *FORMULAS[:4]))
 def test_nothing_found_is_proved(text):
     """Where a search finds nothing, no sample is beyond what is allowed; what it finds is so at its time."""
     field = next(effect.value for effect in scene(1, 1, load=text).effects if effect.key == "load")

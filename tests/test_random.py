@@ -17,9 +17,10 @@ from tests.random.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION,
 from tests.random.families.films import Film
 from tests.random.show import HEADS, show_random, table
 
-COUNT = {1: 50, 2: 20}  # on three ranks 10
+COUNT = {1: 24}  # on more ranks 10
 OF_EACH = {1: 3}  # on more ranks 1
 LONG = ("tetrahedra",)  # families whose scenes take long: 1
+QUICK = ("layers", "touching", "obstacle alone", "drift from a point")  # families that run without --all
 
 
 def rows_of(counts):
@@ -40,7 +41,9 @@ def test_admissible_scenes():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", [name for name in shares(100) if name != "admissible"])
+@pytest.mark.parametrize("family", [
+    pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in shares(100) if name != "admissible"
+])  # fmt: skip
 def test_families(family):
     """Scenes whose truth is known: certificates hold, answers are right, what has none is rejected."""
     rows = rows_of({family: 1 if family in LONG else OF_EACH.get(COMM.size, 1)})

@@ -10,7 +10,7 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import solve
-from tests.conftest import COMM
+from tests.conftest import COMM, slow_except
 from tests.random.families.anisotropic import Anisotropic
 from tests.random.families.axial import Axial
 from tests.random.families.bearings import Bearing, Bearings
@@ -142,7 +142,9 @@ CLOSED = [  # a scene, the share of its error that is left with cells four times
 
 
 @pytest.mark.parametrize(
-    ("one", "left", "wrong"), CLOSED, ids=lambda one: getattr(one, "kind", getattr(one, "name", ""))
+    ("one", "left", "wrong"),
+    slow_except(CLOSED, *CLOSED[:8:3]),
+    ids=lambda one: getattr(one, "kind", getattr(one, "name", "")),
 )
 def test_closed_forms(one, left, wrong):
     """Discrete solutions of the scene tend to its closed form, and to no other one."""
@@ -177,6 +179,7 @@ CHANGES = {"layers": {"obstacle": "1 + x", "inside": 3.0}, "inclusion": {"obstac
            "tube": {"stiff": "1", "end": "spring"}, "point": {"obstacle": "x**3*z - y**2", "upper": True}}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "half")) for kind in SOLIDS])
 def test_closed_forms_on_tetrahedra(kind):
     """Discrete solutions tend to the closed form with order 1 in h, and to no other one."""
@@ -223,6 +226,7 @@ def test_spellings(spelling):
     assert energies[1] == pytest.approx(energies[0], rel=1e-10)
 
 
+@pytest.mark.slow
 def test_layers():
     """Errors of P1: none where the jump is on a line of the mesh; where a cell is cut at 0.503 not as large as with the
     tension at the middle of the cell, by hand, and no smaller than that of the best function of x alone."""

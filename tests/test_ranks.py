@@ -122,6 +122,7 @@ FORCES = {"half": 7.2255769, "disk": 5.4854626, "ring": 0.9115975, "strip": 0.80
 FORCES_P2 = {"half": 7.2449750, "disk": 5.6402062, "ring": 1.1495915, "strip": 0.8294379}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ghosts", [GHOSTS.none, GHOSTS.shared_facet])
 @pytest.mark.parametrize("name", REGIONS)
 def test_submeshes_where_ranks_have_dofs_of_no_cell(name: str, ghosts: Any) -> None:

@@ -98,6 +98,7 @@ def test_normal_flux_balances_load_and_contact(name, method):
         assert found["force"] > 1
 
 
+@pytest.mark.slow
 def test_normal_flux_has_a_sign_and_an_order():
     """u = x^2 (1 + y), given all around: du/dn is 0 on the left, 2 (1 + y) on the right, -x^2 below and x^2 above.
 

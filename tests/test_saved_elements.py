@@ -67,6 +67,7 @@ def energy(answer):
     return total(answer.level.comm, fem.assemble_scalar(releases.form(ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element, mesh", CASES)
 def test_every_element_is_read_as_it_was_saved(element, mesh, folder):
     """u, pressure, contact, obstacles and error: the same degree and the same values at the same nodes."""
@@ -134,6 +135,7 @@ def test_pair_of_ones_own_is_read(folder):
         Answer.read(folder)
 
 
+@pytest.mark.slow
 def test_own_mesh_with_p2_is_solved_again(folder):
     """The scene of the folder names the mesh of the caller, not the cut cells that ParaView shows."""
     mesh = dmesh.create_unit_square(COMM, 5, 4)
@@ -248,6 +250,7 @@ Answer.read(folder + "/one").save(folder + "/through")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks, element, mesh", [(2, "P2", SQUARE), (2, "Q1-gauss", QUADS), (3, "Q2", QUADS)])
 def test_other_numbers_of_ranks(ranks, element, mesh, folder):

@@ -13,7 +13,7 @@ import pytest
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Solution, solve
 from fenicsx_obstacle.parallel import on_root
-from tests.conftest import COMM, DEMOS, as_version_02, membrane
+from tests.conftest import COMM, DEMOS, as_version_02, membrane, slow_except
 from tests.test_cli import CLEAN
 
 ELEMENTS = ["P1", "P2", "Q1", "Q1-gauss"]
@@ -242,7 +242,7 @@ FORGED = {
 }
 
 
-@pytest.mark.parametrize("what", DAMAGE)
+@pytest.mark.parametrize("what", slow_except(DAMAGE, *list(DAMAGE)[:5]))
 def test_forged_fields_are_refused(what, folder):
     """Without contents to compare with: one message on all ranks, no hang, nothing from other files."""
     result(folder)
@@ -255,7 +255,7 @@ def test_forged_fields_are_refused(what, folder):
 
 
 @pytest.mark.parametrize("element", ["P2", "Q1-gauss"])
-@pytest.mark.parametrize("what", FORGED)
+@pytest.mark.parametrize("what", slow_except(FORGED, *list(FORGED)[:2]))
 def test_forged_elements_are_refused(what, element, folder):
     """None ends the process."""
     result(folder, element)
@@ -290,7 +290,7 @@ FIELDS = {
 }
 
 
-@pytest.mark.parametrize("what", FIELDS)
+@pytest.mark.parametrize("what", slow_except(FIELDS, *list(FIELDS)[:4]))
 def test_wrong_fields_of_answer_json(what, folder):
     result(folder)
 
@@ -310,6 +310,7 @@ def test_answer_json_that_nests(folder):
         Answer.read(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_the_command_solve_keeps_the_contents(tmp_path):
     """answer.json is written anew with the seconds of the command: what it says of the files stays right."""
@@ -352,7 +353,7 @@ CHECKPOINT = {
 }
 
 
-@pytest.mark.parametrize("what", CHECKPOINT)
+@pytest.mark.parametrize("what", slow_except(CHECKPOINT, *list(CHECKPOINT)[:4]))
 def test_a_damaged_checkpoint(what, folder):
     """A state to continue from is checked like a result."""
     data = {"mesh": {"shape": "rectangle", "cells": 4}, "load": "-8*t", "lower": -0.1, "rate": 1}

@@ -35,6 +35,7 @@ def test_cuts_of_cells_with_large_numbers(dim, count):
     assert np.array_equal(cut.points[cut.cells], other.points[other.cells])
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("side", [257, 300, 330])
 def test_measured_triangles_with_large_numbers(side):

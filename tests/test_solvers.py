@@ -82,6 +82,7 @@ def test_units_do_not_matter(method, u_values, shift):
     assert np.isclose(ours["contact"]["area"], plain["contact"]["area"], rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", slow_except([1e-9, 1e9], 1e9))
 def test_stiffness_does_not_matter(disk, factor):
     """Tension and load times c: the same u; h^2 means h^2 / tension."""
@@ -233,6 +234,7 @@ def test_nodal_path_is_the_forms(name, more):
     assert B.norm(PETSc.NormType.INFINITY) <= 1e-13 * scale
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "eps"),
     slow_except([("penalty", "h^2"), ("penalty", 1e-8), ("penalty", 1e-12), ("vi", 1.0)], ("penalty", 1e-8)),

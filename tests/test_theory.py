@@ -68,6 +68,7 @@ def test_order_in_eps(name, s):
     assert set(verdicts(findings).values()) == {"sharp"}
 
 
+@pytest.mark.slow
 def test_orders_in_h_at_fixed_eps(halfplane):
     """A jump: eps h^(-1/2) and eps h^(-3/2) where (5.5) claims eps/h and eps/h^2."""
     assert set(verdicts(in_eps.at_fixed_eps(halfplane)).values()) == {"not sharp"}
@@ -117,6 +118,7 @@ def test_pressure_stalls_on_criss_cross_meshes():
     assert all_hold(in_h.claims(in_h.PRESSURES, bent, VI, 0, {"pressure_l2": 0}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("one", slow_except(in_h.CURED, in_h.CURED[0]), ids=lambda one: one.words)
 def test_voronoi_areas_cure_it(one):
     """The same meshes with Voronoi areas: order 3/2."""

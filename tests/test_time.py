@@ -116,6 +116,7 @@ def test_order_of_inertia(method):
     assert np.allclose(orders(errors), 2, atol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_a_wall_takes_energy(method):
     """A string that hits a wall, first at cos(pi t) = -1/2: its energy never grows, and falls where it hits."""
@@ -143,6 +144,7 @@ def test_friction_takes_energy():
     assert np.all(np.diff(answer.time_history.column("energy")) < 0)
 
 
+@pytest.mark.slow
 def test_euler_falls_in_energy():
     """With data that rest, each step of implicit Euler lowers the energy, the penalty's included."""
     scene = Scene(
@@ -209,6 +211,7 @@ def test_frames_after_a_restart(folder):
     assert [frame.t for frame in answer.time_history.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
 
 
+@pytest.mark.slow
 def test_moving_stiffness():
     """A tension that grows with t: matrices of all levels follow."""
     data = {"mesh": {"shape": "rectangle", "cells": 8, "refine": 2}, "load": -8, "lower": -0.2}
@@ -218,6 +221,7 @@ def test_moving_stiffness():
     assert moving["krylov"] <= still["krylov_iterations"] + 1 + MORE_ON_SEVERAL_RANKS
 
 
+@pytest.mark.slow
 def test_levels_serve_steps():
     """In two dimensions steps are preconditioned by multigrid on all levels: few iterations however fine.
 
@@ -264,6 +268,7 @@ def test_press():
         assert force == pytest.approx(2 * math.pi * a**2, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", slow_except(["rate", "inertia", "equilibria"], "rate"))
 def test_restart(kind, folder):
     """Half the way, then on from its state on one rank each: the same table as in one go."""
@@ -410,6 +415,7 @@ def test_states_are_of_one_mesh(folder):
     assert solve(scene.change({"time.end": 2, "time.steps": 4}), restart=folder).record["time"]["steps"] == 4
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_at_rest_nothing_of_time_is_imported(tmp_path):
     """A scene without [time] imports no module of steps, marches or courses."""

@@ -23,7 +23,7 @@ from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.measured.read import read
 from fenicsx_obstacle.parallel import replaced, write_text
 from fenicsx_obstacle.show import render
-from tests.conftest import DEMOS
+from tests.conftest import DEMOS, slow_except
 from tests.processes import launch
 from tests.test_cli import CLEAN, run
 
@@ -55,7 +55,7 @@ def stranger(tmp_path):
 
 
 @pytest.mark.skipif(not (LAUNCHER.parent / ".venv" / "complete").exists(), reason="needs ./obstacle")
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", slow_except([1, 2], 1))
 def test_the_current_folder_is_not_run(ranks, stranger):
     """With a cache of forms that is empty, so that the compiler runs."""
     command = [LAUNCHER, *(["--ranks", "2"] if ranks > 1 else []), "solve", "a.toml", "--output", "out"]
@@ -66,6 +66,7 @@ def test_the_current_folder_is_not_run(ranks, stranger):
     assert [line for line in done.stderr.splitlines() if "not taken" in line] == done.stderr.splitlines() != []
 
 
+@pytest.mark.slow
 def test_processes_do_not_look_into_the_current_folder(stranger, monkeypatch):
     monkeypatch.chdir(stranger)
     assert len(meshing.load(stranger / "a.geo").cells) > 0
@@ -176,7 +177,7 @@ def _damage(kind, folder):
             group[name] = {"a vertex": values + 3, "a vertex below 0": values - 1, "NaN": values * np.nan}[kind]
 
 
-@pytest.mark.parametrize("quadrilaterals", [False, True])
+@pytest.mark.parametrize("quadrilaterals", slow_except([False, True], False))
 @pytest.mark.parametrize(
     "kind", ["a link", "another file", "virtual", "a claim", "a vertex", "a vertex below 0", "NaN"]
 )
@@ -268,6 +269,7 @@ def test_a_plugin_is_known_by_its_content(tmp_path, monkeypatch):
     assert not list(tmp_path.rglob("mine*.pyc"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", [
     "a" + ".a" * 10**5 + " = 1", "x = {a" + ".a" * 10**5 + " = 1}", "[a" + ".'b'" * 10**5 + "]",
     '[["a"' + ' . "b"' * 10**5 + "]]",
@@ -318,6 +320,7 @@ def test_a_rejected_profile_leaves_no_folder(profile, name, time, tmp_path):
     assert os.listdir(tmp_path) == ["a.toml"]
 
 
+@pytest.mark.slow
 def test_out_of_memory_blames_no_options(tmp_path):
     limited = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({2 * 10**9}, {2 * 10**9}))\n"
     limited += "import runpy, sys; sys.argv[1:] = 'solve disk_flat --cells 2000'.split()\n"
@@ -331,6 +334,7 @@ def test_out_of_memory_blames_no_options(tmp_path):
     assert done.stderr.strip() == OUT_OF_MEMORY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_a_home_that_cannot_be_written(ranks, tmp_path):
     env = {key: value for key, value in CLEAN.items() if key != "XDG_CACHE_HOME"} | {"HOME": "/proc"}

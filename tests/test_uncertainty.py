@@ -15,6 +15,7 @@ STRING = math.sqrt(0.3 / 4)  # where string_parabola with f = 8, c = 0.3, k = 0 
 DISK = 0.5777150035509267  # contact radius of disk_flat
 
 
+@pytest.mark.slow
 def test_contact_area_of_a_string():
     """Without a penalty the error of the contact area is below h^2 wherever contact ends between nodes; a count
     of nodes is off by up to h."""
@@ -91,6 +92,7 @@ RESOLVED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*JUMPS, *RESOLVED])
 @pytest.mark.parametrize("mesh", [{}, {"cell": "quadrilateral"}])
 def test_data_that_jump_inside_cells(name, mesh):
@@ -158,6 +160,7 @@ def test_quadrilaterals_and_rows():
     assert all(row["uncertainty.contact.upper.force.values"][-1] == row["contact.upper.force"] for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
 def test_in_time(scheme, order):
     """With [time] the steps are scaled as h: a decay exp(-pi^2 t) sin(pi x) has the order of its scheme at the end."""
@@ -169,6 +172,7 @@ def test_in_time(scheme, order):
     assert true < found["error"] < 3 * true and abs(found["order"] - order) < 0.2
 
 
+@pytest.mark.slow
 def test_equilibria_in_time():
     """A sequence of equilibria has no error in time: at its end it has the uncertainty of the scene at rest."""
     scene, moving = (membrane(load=load, lower=-0.1, mesh={"shape": "rectangle", "cells": 16}, **time)
@@ -178,6 +182,7 @@ def test_equilibria_in_time():
     assert found[0]["error"] == pytest.approx(found[1]["error"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_uncertainty():
     """Two meshes are too few, and steps must be scaled, too; with a tolerance there is the bound."""
     answer = solve(membrane(load=-1, lower=-0.01), cells=6, uncertainty=True)

@@ -47,6 +47,7 @@ def compared(cells: int, element: str = "P1", **given: Any) -> tuple[Bound, floa
     return answer.bound, energy_norm(answer.at(POINTS) - reference(tuple(given.items())))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize(
     ("given", "most"),
@@ -67,6 +68,7 @@ def test_obstacles_out_of_reach(given, most, element):
 BLOCK = "max(abs(x - 1/2), abs(y - 1/2)) <= {}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("element", "half", "most"), [("P1", 0.25, 3.5), ("P1", 0.26, 6.5), ("P2", 0.25, 4.5)])
 def test_blocks_with_vertical_sides(element, half, most):
     """However deep, pushed from either side: the contact force counts where u is near the block."""
@@ -105,6 +107,7 @@ def test_forces_keep_their_sum(element):
     assert scale > 0 and largest(COMM, np.abs(force.x.array[free])) <= 1e-12 * scale
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 @pytest.mark.parametrize("waves", [2, 6, 19])
 def test_loads_that_oscillate(element, waves):
@@ -144,6 +147,7 @@ def test_poincare():
         assert upper[-1] <= upper[0] and upper[-1] <= constant * np.sqrt(variance) * 1.05
 
 
+@pytest.mark.slow
 def test_stiff_inclusions():
     """A square of a million times the tension, along mesh lines: no cell beside it counts as cut."""
     square = BLOCK.format(0.25)
@@ -155,6 +159,7 @@ def test_stiff_inclusions():
     assert all(fine.total < 0.7 * coarse.total for coarse, fine in itertools.pairwise(bounds))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_a_pole_leaves_the_solution_as_it_is(element):
     """A bound of a load, 1e21 at its pole, is no force: u = r^0.1 stays between its boundary values."""
