@@ -178,12 +178,15 @@ def test_given_values_stay_beside_a_boundary_obstacle():
     assert largest(COMM, -(v[free] - y * (1 - y) / 2)) < -ROUND_OFF
 
 
-@pytest.mark.parametrize("boundary", ["0.1*sin(5*x)^2", "0.3 - x^2 - y^2/2"])
-def test_the_bound_of_the_admissible_state_is_a_root(boundary):
+@pytest.mark.parametrize(
+    ("boundary", "more"),
+    [("0.1*sin(5*x)^2", {}), ("0.3 - x^2 - y^2/2", {}), ("0.1*sin(5*x)^2", {"foundation": "1 + x"})],
+)
+def test_the_bound_of_the_admissible_state_is_a_root(boundary, more):
     """||u - v_h|| <= x + eta_g + eta_p for the root x > 0 of x^2 = S x + eta_C, where eta_C is the integral of contact
     force times gap; terms that are 0 in one scene are not in the other."""
     dome = "0.3 - x^2 - y^2/2" if boundary.startswith("0.3") else "0.3 - 2*((x - 1/2)^2 + (y - 1/2)^2)"
-    context = SolverContext(membrane(lower=dome, boundary=[{"value": boundary}]))
+    context = SolverContext(membrane(lower=dome, boundary=[{"value": boundary}], **more))
     bound = context.answer(bound=True).bound
     problem, element = context.problem, context.estimator.element
     terms = element.terms(problem.solution().x.array, *touching(problem, element.reach))
@@ -193,7 +196,9 @@ def test_the_bound_of_the_admissible_state_is_a_root(boundary):
 
     eta_g, eta_p, eta_C = norm(element.rim_energy()), norm(terms.cover), total(COMM, terms.contact)
     assert eta_g > 0 and (eta_p > 0) == (boundary == dome)
-    S = norm(terms.admissible_balanced) + element.friedrichs * norm(terms.rest) + eta_g + eta_p
+    lacking = norm(terms.lacking)
+    assert (lacking > 0) == bool(more)
+    S = norm(terms.admissible_balanced) + element.friedrichs * (norm(terms.rest) + lacking) + eta_g + eta_p
     root = bound.admissible_total - eta_g - eta_p
     assert root**2 == pytest.approx(S * root + eta_C, rel=1e-9)
     simplices, (points, weights) = element.simplices, halved_rule(2)
