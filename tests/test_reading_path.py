@@ -1,0 +1,66 @@
+"""docs/contributing.md: the calls from `solve()` to the penalty."""
+
+import re
+import sys
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import ObstacleProblem, releases
+from fenicsx_obstacle.checkout import ROOT
+from tests.conftest import COMM
+
+
+def documented():
+    """The calls of the table, the first that of the user."""
+    text = (ROOT / "docs" / "contributing.md").read_text()
+    table = text.split("## From `solve()` to the penalty")[1].split("## ")[0]
+    return re.findall(r"^\| `([\w.]+)` \|", table, re.MULTILINE)
+
+
+def test_the_calls_lead_to_the_penalty():
+    """In a solve, the last call of the table is reached through all others, in their order."""
+    wanted, found = documented(), []
+    mesh = dmesh.create_unit_square(COMM, 40, 40)
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    edge = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[:2] * (1 - x[:2]), 0).any(axis=0))
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 8 * v * ufl.dx
+    problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(0.0, edge, V)], lower=-0.3)
+
+    def watch(frame, event, _):
+        if event == "call" and frame.f_code.co_name == "_excess":
+            found.append(stack_of(frame))
+
+    sys.setprofile(watch)
+    try:
+        problem.solve()
+    finally:
+        sys.setprofile(None)
+    names = [name.rpartition(".")[2] for name in wanted]
+    files = [file_of(name) for name in wanted]
+    assert len(wanted) == 10
+    assert any(contains(stack, list(zip(files, names, strict=True))) for stack in found)
+
+
+def file_of(name):
+    """The module of a dotted name, as a path."""
+    parts = name.split(".")
+    return "/".join(parts[:2]) + ".py"
+
+
+def stack_of(frame):
+    """Files and functions that have called, the first caller first."""
+    calls = []
+    while frame is not None:
+        calls.append((frame.f_code.co_filename, frame.f_code.co_name))
+        frame = frame.f_back
+    return calls[::-1]
+
+
+def contains(stack, wanted):
+    """Whether the wanted calls are in the stack, in their order."""
+    rest = iter(stack)
+    return all(any(path.endswith(file) and name == here for path, here in rest) for file, name in wanted)
