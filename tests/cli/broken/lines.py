@@ -41,6 +41,11 @@ NUMBERS = {
     "overflow": '"10^400"',
     "9^9^9^9": '"9^9^9^9"',
 }
+NO_OBSTACLE = {
+    "[obstacle] lower": {"minus infinity"},
+    "[obstacle] upper": {"infinity", "division by zero", "overflow", "9^9^9^9"},
+}
+"""What is not wrong: an obstacle of 1e20 or beyond means that there is none."""
 FORMULAS = {
     "an empty formula": '""',
     "a complex number": '"1j"',
@@ -89,7 +94,8 @@ def broken_lines() -> Iterator[Broken]:
                 "[report] q", "[solve] eps", "[time] end", "[time] start", "[time] velocity"):  # fmt: skip
         # a figure that is not finite is said to be so next to the others
         for what, value in {**FORMULAS, **TYPES, **({} if key == "[report] q" else NUMBERS)}.items():
-            yield _with(key, value, what)
+            if what not in NO_OBSTACLE.get(key, ()):
+                yield _with(key, value, what)
     for key in ("title", "u", "[mesh] file", "[exact] free", "[exact] regularity", "[time] name"):
         for what, value in {**WORDS, **TYPES}.items():
             yield _with(key, value, what)
