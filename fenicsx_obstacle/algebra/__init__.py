@@ -1,5 +1,5 @@
-"""Solvers of one discrete problem by PETSc SNES: the penalty and the variational inequality.
+"""The discrete obstacle problem as matrices and arrays, and its solvers by PETSc SNES.
 
-Contents: iterations, preconditioners, stopping tests. Not here: creation of meshes (solvers never refine), errors and
-bounds, files.
+Contents: the system, the penalty and the variational inequality, stopping tests, multigrid, algebraic coarse levels,
+`solve_system`. Not here: meshes, forms (nothing of DOLFINx or UFL), errors and bounds, files.
 """
