@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from scipy.optimize import lsq_linear
 
 from fenicsx_obstacle import InputError, solve_system
+from fenicsx_obstacle.algebra.linear import Collapsed, attempt, check_diagonal
 from tests.conftest import CLEAN, COMM
 
 MANY = {1: 1000, 2: 40}.get(COMM.size, 20)  # ranks wait for each other
@@ -206,6 +207,19 @@ def test_an_error_on_one_rank_is_one_on_all():
     f = np.where(np.arange(first, last) == 0, np.nan, 1.0)
     with pytest.raises(InputError, match="f: holds values"):
         solve_system(A, f)
+
+
+@pytest.mark.parametrize("bad", [0.0, np.inf, np.nan])
+def test_a_diagonal_that_has_collapsed_is_seen_on_all_ranks(bad):
+    """The row of one rank ends the linear solver on all: BoomerAMG would end it on that rank alone."""
+    A = distributed(np.eye(9))
+    check_diagonal(A, COMM)
+    if A.getOwnershipRange()[0] == 0:
+        A.setValue(0, 0, bad)
+    A.assemble()
+    with pytest.raises(Collapsed):
+        check_diagonal(A, COMM)
+    assert not attempt(lambda: check_diagonal(A, COMM))
 
 
 @pytest.mark.serial

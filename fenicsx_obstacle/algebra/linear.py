@@ -6,11 +6,15 @@ import ctypes
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra import releases
 from fenicsx_obstacle.algebra.multigrid import SMOOTHER
+from fenicsx_obstacle.parallel import total
 
+TINY = float(np.finfo(float).tiny)
 IN_LIBRARY = 76  # PETSC_ERR_LIB
 LARGEST = 200_000  # unknowns for a direct solver
 LINEAR = {
@@ -40,6 +44,26 @@ def direct_first(unknowns: int) -> bool:
     return releases.AMG != "hypre" and unknowns <= LARGEST
 
 
+class Collapsed(ArithmeticError):
+    """A diagonal that is 0 or not finite, of a problem that is not linear: on all ranks.
+
+    BoomerAMG would raise an error on the rank of that row alone, and the others would wait for it.
+    """
+
+
+def check_diagonal(A: PETSc.Mat, comm: MPI.Comm) -> None:
+    """Check a matrix that BoomerAMG is to get (collective).
+
+    Raises:
+        Collapsed: On all ranks.
+    """
+    diagonal = A.getDiagonal()
+    bad = ~(np.abs(diagonal.array_r) >= TINY) | ~np.isfinite(diagonal.array_r)
+    diagonal.destroy()
+    if total(comm, np.count_nonzero(bad)) > 0:
+        raise Collapsed
+
+
 def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:
     """Call a PETSc solver; returns whether it finished without an error of hypre, on all ranks (collective).
 
@@ -55,6 +79,10 @@ def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:
     """
     try:
         solve()
+    except Collapsed:
+        for one in used:
+            one.incRef()
+        return False
     except PETSc.Error as error:
         hypre = ctypes.CDLL(PETSc.__file__)  # with all libraries that PETSc is linked to
         if error.ierr != IN_LIBRARY or not hasattr(hypre, "HYPRE_ClearAllErrors"):

@@ -20,6 +20,7 @@ from fenicsx_obstacle.algebra.linear import (
     LARGEST,
     LINEAR,
     attempt,
+    check_diagonal,
     defaults,
     direct_first,
     user_has_set,
@@ -123,6 +124,8 @@ def run(
             multigrid.truncate(problem.matrices.penalty_diagonal())
         else:
             problem.jacobian(x, penalised=penalised)
+            if linear is not DIRECT and not problem.affine:
+                check_diagonal(problem.A, problem.comm)
 
     snes.setJacobian(jacobian, problem.A)
     if objective:
