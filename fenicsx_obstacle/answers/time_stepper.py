@@ -89,11 +89,18 @@ class TimeStepper:
             InputError: If data are wrong at some moment.
             NotConverged: At a step that cannot be shortened. The state before it is in `keep` then.
         """
-        outcome = None
-        while outcome is None:
+        self._begin(restart)
+        while (outcome := self._advance(keep)) is None:
+            self._go_back()
             self._begin(restart)
-            outcome = self._advance(keep)
         return outcome
+
+    def _go_back(self) -> None:
+        """Take the data of the beginning again, on all levels."""
+        assert self.problem.data.moment is not None
+        self.problem.data.moment.go_back(self.moments)
+        for one in (self.problem, *reversed(self.below)):
+            one.move(one.cold_start())
 
     @contextmanager
     def _at(self, t: float) -> Iterator[None]:

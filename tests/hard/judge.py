@@ -116,7 +116,8 @@ class _Verifier:
                 problem = self.context.problem
                 u_values = problem.cold_start()
                 if words == "scattered start":
-                    u_values = u_values + 10 * self.known[method, eps].solved.range * _scatter(problem.level.points)
+                    noise = _scatter(problem.level.points[:, : problem.owned])
+                    u_values = u_values + 10 * self.known[method, eps].solved.range * noise
                 problem.set_reference(u_values)
                 try:
                     outcome = solve_vi(problem) if eps is None else solve_penalty(problem, TRIAL)
