@@ -5,7 +5,9 @@ import pytest
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.estimation.clipped import Clipped, _ClippedCells
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
+from tests.conftest import COMM
 
 WAVE = "0.1*sin(16*pi*x)"  # 0 at all nodes of 8 cells, P1 and P2
 CLOSE, FAR = 0.101, 0.5  # distance of the obstacles
@@ -94,10 +96,10 @@ def test_kinks_of_tables(folder):
     """The same boundary values from a file."""
     x = np.arange(41) / 40
     z = np.where(np.arange(41) % 5 == 3, 0.1, 0.0)
-    (folder / "edge.csv").write_text("x,z\n" + "".join(f"{a},{b}\n" for a, b in zip(x, z, strict=True)))
-    (folder / "scene.toml").write_text(
-        'mesh = {shape = "rectangle", cells = 8}\neffects = {tension = 1}\nboundary = [{value = {file = "edge.csv"}}]\n'
-    )
+    table = "x,z\n" + "".join(f"{a},{b}\n" for a, b in zip(x, z, strict=True))
+    mesh = 'mesh = {shape = "rectangle", cells = 8}\neffects = {tension = 1}\n'
+    on_root(COMM, (folder / "edge.csv").write_text, table)
+    on_root(COMM, (folder / "scene.toml").write_text, mesh + 'boundary = [{value = {file = "edge.csv"}}]\n')
     bound = solve(Scene.read(folder / "scene.toml"), bound=True).bound
     assert bound.total >= KINKS["mod"][1] and bound.energy is None
 
