@@ -164,6 +164,21 @@ def laplacian(n):
     return A, x, np.any((x == 0) | (x == 1), axis=1)
 
 
+@pytest.mark.parametrize("far", [1e20, 1e30, PETSc.INFINITY, np.inf])
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_far_bounds_are_none(far, method):
+    """What means that there is no bound changes nothing, also where it stands beside a bound."""
+    A, x, edge = laplacian(16)
+    mine = slice(*owned(len(x)))
+    given = {"fixed": edge[mine], "weights": 1 / 256, "method": method}
+    lower = np.where(x[mine, 0] < 0.5, -0.1, -far)
+    one, other = (
+        solve_system(distributed(A), -8 / 256, lower=low, upper=high, **given)
+        for low, high in ((lower, far), (np.where(np.isclose(lower, -0.1), lower, -np.inf), None))
+    )
+    assert np.array_equal(one.u, other.u) and one.iterations == other.iterations and one.eps == other.eps
+
+
 @pytest.mark.parametrize("how", [{}, {"eps": 1e-8}, {"method": "vi"}])
 def test_steps_do_not_depend_on_the_size(how):
     """With coordinates coarse levels give the start."""

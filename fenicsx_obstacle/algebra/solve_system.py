@@ -18,12 +18,12 @@ from fenicsx_obstacle.algebra.multigrid import chain
 from fenicsx_obstacle.algebra.nested import solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.stopping import Step
-from fenicsx_obstacle.algebra.system import State, System
+from fenicsx_obstacle.algebra.system import State, System, with_infinities
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.text import counted
 
-SYMMETRIC = 1e-12  # of the largest entry: a difference of A and its transpose that is round-off
+ROUND_OFF = 1e-12  # of the entries of A: a difference of A and its transpose, and row sums, that are none
 NAME = "solve_system:"
 
 
@@ -55,10 +55,11 @@ class MatrixSystem(System):
             given: Its values there.
         """
         self.comm, self.lower, self.upper, self.fixed, self.given = A.comm.tompi4py(), lower, upper, fixed, given
-        self.symmetric = self.has_energy = bool(A.isSymmetric(SYMMETRIC * max(A.norm(PETSc.NormType.INFINITY), 1e-300)))
+        self.symmetric = self.has_energy = bool(A.isSymmetric(ROUND_OFF * max(A.norm(PETSc.NormType.INFINITY), 1e-300)))
         minus_load, w_vector, r_vector = A.createVecLeft(), A.createVecRight(), A.createVecRight()
         w_vector.set(1.0)
         A.mult(w_vector, minus_load)
+        row_sums = total(self.comm, np.abs(minus_load.array_r))
         # reactions are sums of A_ij (u_j - u_i): what A and f have in rows of boundary conditions is no scale of force
         minus_load.array[:] = np.where(fixed, -minus_load.array_r * given, -f)
         w_vector.set(0.0)
@@ -66,24 +67,16 @@ class MatrixSystem(System):
         self._set_law(Affine(self.comm, state, A, minus_load, weights, np.flatnonzero(fixed)))
         self.load = total(self.comm, np.abs(f[~fixed]))
         if total(self.comm, np.count_nonzero(fixed)) == 0:
-            self.floating = self._loose_constant()
+            self.floating = self._loose_constant(row_sums)
         self.set_reference(self.cold_start())
 
-    def _loose_constant(self) -> bool:
+    def _loose_constant(self, row_sums: float) -> bool:
         """Whether A maps constants to 0, so that contact alone holds u; then it begins in contact (collective).
 
         Raises:
             InputError: If the load does not press u against an obstacle.
         """
-        one = self.matrices.stiffness.createVecRight()
-        one.set(1.0)
-        sums = one.duplicate()
-        self.matrices.stiffness.mult(one, sums)
-        rows = total(self.comm, np.abs(sums.array_r))
-        scale = total(self.comm, np.abs(self.matrices.diagonal))
-        for vector in (one, sums):
-            vector.destroy()
-        if rows > 1e-12 * scale:
+        if row_sums > ROUND_OFF * total(self.comm, np.abs(self.matrices.diagonal)):
             return False
         net = total(self.comm, -self.matrices.minus_load.array_r)
         side = self.upper if net > 0 else self.lower
@@ -94,7 +87,7 @@ class MatrixSystem(System):
             )
         sign = 1.0 if net > 0 else -1.0
         extreme = (largest if sign > 0 else smallest)(self.comm, side[np.isfinite(side)])
-        self.start = np.where(np.isfinite(side), side, extreme) + sign
+        self.start = np.nextafter(np.where(np.isfinite(side), side, extreme), sign * np.inf)
         self.borne, self.parts = np.array([True]), (1, np.zeros(self.owned, dtype=np.int64))
         return True
 
@@ -150,7 +143,7 @@ def solve_system(
         A: Stiffness matrix, without boundary conditions: a PETSc matrix, or on one rank whatever
             `scipy.sparse.csr_matrix` takes.
         f: Load: a PETSc vector or an array of owned rows, in the unit of A u. At fixed rows it is not used.
-        lower: Lower bound of u, a number or an array of owned rows; -inf where there is none.
+        lower: Lower bound of u, a number or an array of owned rows; -inf, or -1e20 and beyond, where there is none.
         upper: Upper bound.
         weights: D > 0, the volume that belongs to a row, for example int phi_i; by default 1.
         fixed: Rows, as flags of owned rows or their numbers, where u is `given`.
@@ -203,8 +196,8 @@ def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
     fixed = np.zeros(own, dtype=bool)
     with agree(comm):
         f = _array(f.array_r if isinstance(f, PETSc.Vec) else f, own, "f")
-        low = _array(-np.inf if data["lower"] is None else data["lower"], own, "lower", finite=False)
-        high = _array(np.inf if data["upper"] is None else data["upper"], own, "upper", finite=False)
+        low = with_infinities(_array(-np.inf if data["lower"] is None else data["lower"], own, "lower", finite=False))
+        high = with_infinities(_array(np.inf if data["upper"] is None else data["upper"], own, "upper", finite=False))
         weights = _array(1.0 if data["weights"] is None else data["weights"], own, "weights")
         given = _array(data["given"], own, "given")
         if data["fixed"] is not None:

@@ -31,6 +31,14 @@ LIMIT = 1e-2  # of the forces that the data exert: round-off beyond it makes a s
 PRESCRIBE = "prescribe u on a part of the boundary ([[boundary]] value, or bcs)"  # part of messages
 
 
+NO_BOUND = 1e20  # an obstacle of this absolute value or beyond is none; PETSc.INFINITY is this, or 4.5e307
+
+
+def with_infinities(g: np.ndarray) -> np.ndarray:
+    """Values of an obstacle as they were given, with inf and -inf where they mean that there is none."""
+    return np.where(np.abs(g) >= NO_BOUND, np.copysign(np.inf, g), g)
+
+
 class State:
     """The state of a problem. All arrays hold owned dofs, and are changed in place.
 

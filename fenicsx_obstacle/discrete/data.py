@@ -14,6 +14,7 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.system import NO_BOUND, with_infinities
 from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
@@ -33,12 +34,6 @@ if TYPE_CHECKING:
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
 ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
-NO_BOUND = 1e20  # an obstacle of this absolute value or beyond is none; PETSc.INFINITY is this, or 4.5e307
-
-
-def with_infinities(g: np.ndarray) -> np.ndarray:
-    """Values of an obstacle as they were given, with inf and -inf where they mean that there is none."""
-    return np.where(np.abs(g) >= NO_BOUND, np.copysign(np.inf, g), g)
 
 
 class Weighted:

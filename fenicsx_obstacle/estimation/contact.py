@@ -8,8 +8,8 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.system import NO_BOUND
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.data import NO_BOUND
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, total
 
