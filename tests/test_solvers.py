@@ -269,7 +269,8 @@ def test_coarse_springs_meet_a_shift_with_the_force_of_the_finer_level(beyond):
     mesh = {"shape": "interval", "x": [0, 1], "cells": 2048}
     context = SolverContext(Scene(mesh=mesh, tension=1, load=0, lower=-1, boundary=[{"value": 0}]))
     context.answer()
-    grid = context._hierarchy()[-1]
+    grid = context.multigrid
+    assert grid is not None
     level = grid.problem.level
     held = level.points[0, : level.owned] < 0.5 + (beyond + 0.5) * level.h
     grid.truncate(np.where(held & ~grid.problem.fixed, np.inf, 0.0))
@@ -289,7 +290,7 @@ def test_between_contact_nodes_gaps_are_interpolated():
     not on chords."""
     curve, mesh = "-1 - x^2", {"shape": "interval", "x": [0, 1], "cells": 64}
     context = SolverContext(Scene(mesh=mesh, tension=1, load=-1, lower=curve, boundary=[{"value": curve}]))
-    problem, coarse = context.problem, context._hierarchy()[-2].problem
+    problem, coarse = context.problem, context.multigrid.coarser.problem
     coarse.set_reference(coarse.lower)
     coarse.w[~coarse.fixed] = -0.01
     begin_from(problem, coarse)

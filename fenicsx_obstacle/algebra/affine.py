@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.system import State
+from fenicsx_obstacle.algebra.state import State
 from fenicsx_obstacle.parallel import total
 
 HELD = 1e16  # times the diagonal of a row whose solution is to be zero

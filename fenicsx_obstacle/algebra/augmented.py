@@ -7,11 +7,14 @@ Hestenes' and Powell's method, whose steps are penalty solves and whose limit do
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.newton import joined, penalty_pressure, soft_eps, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome
-from fenicsx_obstacle.algebra.stopping import StepMonitor
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import largest
@@ -21,13 +24,21 @@ CLOSE = 1e-10  # penetration over the range of u
 STEPS = 50
 
 
-def solve_augmented(problem: System, *, monitor: StepMonitor | None = None) -> Outcome:
+def solve_augmented(
+    problem: System,
+    *,
+    multigrid: Multigrid | None = None,
+    tolerance: float = TOLERANCE,
+    monitor: StepMonitor | None = None,
+) -> Outcome:
     """Solve the inequality with u <= g at the points of I, from the present state (collective).
 
     Afterwards the penalty pressure is the multiplier.
 
     Args:
         problem: Whose pair is not nodal; holds the start, then the solution.
+        multigrid: None: contact couples nodes.
+        tolerance: As for `solve_penalty`.
         monitor: Called after each step.
 
     Returns:
@@ -41,11 +52,12 @@ def solve_augmented(problem: System, *, monitor: StepMonitor | None = None) -> O
     state.multiplier[:] = 0.0
     state.share_all()
     eps = STIFF * soft_eps(problem)
-    outcome = solve_penalty(problem, eps, monitor=monitor)
+    how: dict[str, Any] = {"multigrid": multigrid, "tolerance": tolerance, "monitor": monitor}
+    outcome = solve_penalty(problem, eps, **how)
     for _ in range(STEPS):
         state.multiplier[:] = penalty_pressure(problem)
         state.share_all()
-        outcome = joined(outcome, solve_penalty(problem, eps, monitor=monitor))
+        outcome = joined(outcome, solve_penalty(problem, eps, **how))
         change = largest(comm, np.abs(penalty_pressure(problem) - state.multiplier))
         if eps * change <= CLOSE * problem.range_of_u():
             return outcome

@@ -8,7 +8,8 @@ from petsc4py import PETSc
 from fenicsx_obstacle.algebra.affine import Affine
 from fenicsx_obstacle.algebra.coarsening import FIXED, Nodes, coarsen
 from fenicsx_obstacle.algebra.kernels import Kernels
-from fenicsx_obstacle.algebra.system import State, System
+from fenicsx_obstacle.algebra.state import State
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.parallel import total
 

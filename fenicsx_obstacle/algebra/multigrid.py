@@ -11,7 +11,6 @@ active set changes diagonals only.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -237,11 +236,3 @@ class OnInactive:
     def destroy(self, pc: PETSc.PC) -> None:
         for owner in (self.inner, self.whole, self.answer):
             owner.destroy()
-
-
-def chain(problems: Sequence[System]) -> list[Multigrid]:
-    """One multigrid for each of the problems, from the coarsest on."""
-    grids: list[Multigrid] = []
-    for problem in problems:
-        grids.append(Multigrid(problem, grids[-1] if grids else None))
-    return grids

@@ -8,40 +8,95 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.algebra.methods import Method
 from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.relaxation import relax
 from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
 
 _log = logging.getLogger(__name__)
-FEW = 8  # Newton steps from a start that is said to be near
+FEW = 8  # Newton steps from a start that is said to be near, before coarser levels give one
 # on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
 ON_THE_WAY: dict[str, Any] = {"least": 1, "tolerance": 1e-2}
 
 
+@dataclass(frozen=True)
+class Levels:
+    """The systems on which a problem is solved, one after the other.
+
+    Attributes:
+        systems: From the coarsest to the finest, which is the problem.
+        multigrids: Of each; None where truncated multigrid does not serve.
+    """
+
+    systems: tuple[System, ...]
+    multigrids: tuple[Multigrid | None, ...]
+
+    @classmethod
+    def of(cls, systems: Sequence[System], *, multigrid: bool) -> Levels:
+        """The levels of these systems.
+
+        Args:
+            systems: From the coarsest to the finest.
+            multigrid: Whether truncated multigrid serves. A single level has none.
+        """
+        levels = cls((), ())
+        if multigrid and len(systems) > 1:
+            return levels.with_finer(systems)
+        return cls(tuple(systems), (None,) * len(systems))
+
+    def with_finer(self, systems: Sequence[System]) -> Levels:
+        """These levels, and finer ones with multigrid on them."""
+        multigrids = list(self.multigrids)
+        if multigrids == [None]:  # a level that was alone
+            multigrids = [Multigrid(self.systems[0], None)]
+        for system in systems:
+            multigrids.append(Multigrid(system, multigrids[-1] if multigrids else None))
+        return Levels((*self.systems, *systems), tuple(multigrids))
+
+    def __len__(self) -> int:
+        return len(self.systems)
+
+    def __getitem__(self, part: slice) -> Levels:
+        return Levels(self.systems[part], self.multigrids[part])
+
+    @property
+    def finest(self) -> System:
+        """The problem."""
+        return self.systems[-1]
+
+    @property
+    def below(self) -> tuple[System, ...]:
+        """The systems but for the problem."""
+        return self.systems[:-1]
+
+
 def solve_nested(
-    grids: Sequence[Multigrid | System],
-    solve: Callable[..., Outcome],
-    stiffness: float,
-    before: System | None = None,
-    start: np.ndarray | None = None,
+    levels: Levels,
+    method: Method,
+    *,
+    start: Callable[[float | None], None] | None = None,
+    solved: int = 0,
+    tolerance: float = TOLERANCE,
+    monitor: StepMonitor | None = None,
 ) -> list[Outcome]:
-    """Nested iteration: solve on each level, from the coarsest to the finest (collective).
+    """Solve on each level, from the coarsest to the finest (collective).
 
     Args:
-        grids: The multigrid of each level, or its problem where multigrid does not serve; the last problem holds the
-            solution afterwards.
-        solve: Solves a problem from its present state, given `multigrid`, and `ON_THE_WAY`.
-        stiffness: Of the obstacle, 1/eps or infinite.
-        before: The problem of the level below the first of these, holding its solution; by default there is none.
-        start: Values of u on the finest level, near its solution: Newton begins there, and where few
-            steps do not do, as always.
+        levels: The finest system holds the solution afterwards.
+        method: How each is solved.
+        start: Gives the finest system, for this eps, a state that is near the solution: Newton's method begins there.
+            Where few steps do not do, and there are coarser levels, these give another start.
+        solved: The number of coarsest levels that hold their solutions already.
+        tolerance: Unbalanced force over acting forces to stop at on the finest level.
+        monitor: Called after each step, on the levels of meshes.
 
     Returns:
         The outcome of each level that was solved, the finest last.
@@ -50,82 +105,67 @@ def solve_nested(
         NotConverged: On the finest level; where the coarsest level is algebraic, or contact alone bears the load, from
             a cold start too. A coarse state is a start, converged or not, if the problem is affine.
     """
-    if start is not None and (found := solve_from(grids[-1], start, solve)) is not None:
-        return [found]
-    outcomes: list[Outcome] = []
-    for grid in grids:
-        multigrid, problem = as_multigrid(grid), problem_of(grid)
-        if before is None:
-            problem.set_reference(problem.cold_start())
-        else:
-            begin_from(problem, before)
-            if problem.constrained and multigrid is not None:
-                none = np.zeros(len(problem.weights))
-                relax(problem, np.multiply(stiffness, problem.weights, out=none, where=problem.weights > 0))
-        finest = grid is grids[-1]
-        unwatched = {"monitor": None} if not problem.on_mesh and not finest else {}  # nothing to be shown on
+    finest, spent = levels.finest, 0
+    of_finest: dict[str, Any] = {"tolerance": tolerance, "monitor": monitor}
+    if start is not None:
+        start(method.eps)
+        patience = {"patience": FEW} if len(levels) > 1 else {}
         try:
-            outcomes.append(solve(problem, multigrid=multigrid, **({} if finest else ON_THE_WAY | unwatched)))
+            return [method.solve(finest, multigrid=levels.multigrids[-1], **patience, **of_finest)]
         except NotConverged as error:
-            if finest:
-                if not (_algebraic(grids) or problem.borne is not None):
+            if not patience:
+                raise
+            _log.info("the start is too far away: continuing from the coarser levels")
+            spent = error.iterations
+    outcomes: list[Outcome] = []
+    before = levels.systems[solved - 1] if solved else None
+    for system, multigrid in zip(levels.systems[solved:], levels.multigrids[solved:], strict=True):
+        if before is None:
+            system.set_reference(system.cold_start())
+        else:
+            begin_from(system, before)
+            if system.constrained and multigrid is not None:
+                relax(system, _stiffness_of_contact(system, method.eps))
+        how = of_finest
+        if system is not finest:  # an algebraic level has nothing to be shown on
+            how = {**ON_THE_WAY, "monitor": monitor if system.on_mesh else None}
+        try:
+            outcomes.append(method.solve(system, multigrid=multigrid, **how))
+        except NotConverged as error:
+            if system is finest:
+                algebraic = not levels.systems[0].on_mesh
+                if len(levels) == 1 or not (algebraic or system.borne is not None):
                     raise
                 _log.info("no convergence from the coarser levels: continuing with a cold start")
-                problem.set_reference(problem.cold_start())
-                last = solve(problem)
-                outcomes.append(replace(last, iterations=error.iterations + last.iterations))
-            if not problem.affine:  # it may be anywhere
+                system.set_reference(system.cold_start())
+                spent += error.iterations
+                outcomes.append(method.solve(system, **of_finest))
+            if not system.affine:  # it may be anywhere
                 before = None
                 continue
-        before = problem
-    return outcomes
+        before = system
+    return [*outcomes[:-1], replace(outcomes[-1], iterations=spent + outcomes[-1].iterations)]
 
 
-def solve_from(grid: Multigrid | System, start: np.ndarray, solve: Callable[..., Outcome]) -> Outcome | None:
-    """Solve from the solution for other data; None if a few steps are not enough (collective).
-
-    Args:
-        grid: The multigrid of the problem, or the problem where multigrid does not serve.
-        start: Values of u.
-        solve: As for `solve_nested`.
-    """
-    multigrid, problem = as_multigrid(grid), problem_of(grid)
-    problem.set_reference(start)
-    try:
-        return solve(problem, multigrid=multigrid, patience=FEW)
-    except NotConverged:
-        _log.info("the solution for other data is too far away to start from")
-        return None
+def _stiffness_of_contact(system: System, eps: float | None) -> np.ndarray:
+    """What an obstacle adds to the diagonal at each point of I: D_i/eps, infinite without a penalty."""
+    stiffness = np.inf if eps is None else 1.0 / eps
+    return np.multiply(stiffness, system.weights, out=np.zeros(len(system.weights)), where=system.weights > 0)
 
 
-def _algebraic(grids: Sequence[Multigrid | System]) -> bool:
-    coarsest, finest = problem_of(grids[0]), problem_of(grids[-1])
-    return coarsest is not finest and not coarsest.on_mesh
-
-
-def problem_of(grid: Multigrid | System) -> System:
-    """The problem of a level."""
-    return grid.problem if isinstance(grid, Multigrid) else grid
-
-
-def as_multigrid(grid: Multigrid | System) -> Multigrid | None:
-    """The multigrid of a level, where it serves."""
-    return grid if isinstance(grid, Multigrid) else None
-
-
-def begin_from(problem: System, coarse: System) -> None:
+def begin_from(system: System, coarse: System) -> None:
     """Set the state to the interpolant of the next coarser level (collective).
 
     Where both ends of an edge are in contact its middle is: gaps, not values of u, are interpolated there, or
     the middle of a curved obstacle's edge would start far off.
     """
-    transfer, w = problem.transfer, problem.w
-    problem.set_unknown(transfer.interpolate(coarse.u))
-    for ours, theirs, sign in ((problem.below, coarse.below, 1), (problem.above, coarse.above, -1)):
+    transfer, w = system.transfer, system.w
+    system.set_unknown(transfer.interpolate(coarse.u))
+    for ours, theirs, sign in ((system.below, coarse.below, 1), (system.above, coarse.above, -1)):
         if ours is None or theirs is None:
             continue
         distance = sign * (coarse.w - theirs)
-        touching = transfer.all_of(distance <= 0) & ~problem.fixed
+        touching = transfer.all_of(distance <= 0) & ~system.fixed
         between = transfer.interpolate(np.minimum(distance, 0.0))
         w[touching] = ours[touching] + sign * between[touching]
-    problem.state.share()
+    system.state.share()

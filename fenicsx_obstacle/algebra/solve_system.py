@@ -14,11 +14,11 @@ from fenicsx_obstacle.algebra.coarse import SMALLEST, algebraic_levels
 from fenicsx_obstacle.algebra.coarsening import FIXED, FREE, Nodes, first_keys
 from fenicsx_obstacle.algebra.kernels import kernels
 from fenicsx_obstacle.algebra.methods import method_of
-from fenicsx_obstacle.algebra.multigrid import chain
-from fenicsx_obstacle.algebra.nested import solve_nested
+from fenicsx_obstacle.algebra.nested import Levels, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.state import State
 from fenicsx_obstacle.algebra.stopping import Step
-from fenicsx_obstacle.algebra.system import State, System, with_infinities
+from fenicsx_obstacle.algebra.system import System, with_infinities
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree, largest, smallest, total
 from fenicsx_obstacle.text import counted
@@ -166,19 +166,17 @@ def solve_system(
     options = SolverOptions(method, "auto" if method == "vi" else eps, source=NAME)
     touchable = total(system.comm, np.count_nonzero(system.touchable)) > 0
     way = method_of(system, options, known=None if touchable else 1.0)  # if u is given everywhere, any eps
-    levels: list[System] = [system]
+    coarser: list[System] = []
     if points is not None and method != "successive" and system.symmetric:
         with agree(system.comm):
             x = _points(points, system.owned)
-        levels = [*_coarser(system, x), system]
-    if len(levels) > 1:
-        outcome = solve_nested(chain(levels), way.solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
-    else:
-        outcome = way.solve(system)
+        coarser = _coarser(system, x)
+    levels = Levels.of([*coarser, system], multigrid=True)
+    outcome = solve_nested(levels, way)[-1]
     pressure = way.pressure(system)
     return SystemSolution(
         system.u, pressure, -np.sign(pressure).astype(np.int8), outcome.eps, outcome.iterations, outcome.krylov,
-        tuple(level.dofs for level in levels), outcome.history,
+        tuple(level.dofs for level in levels.systems), outcome.history,
     )  # fmt: skip
 
 

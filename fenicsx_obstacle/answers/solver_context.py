@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,33 +14,29 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import garbage
-from fenicsx_obstacle.algebra import multigrid
-from fenicsx_obstacle.algebra.methods import Method, method_of
 from fenicsx_obstacle.algebra.multigrid import Multigrid
-from fenicsx_obstacle.algebra.nested import solve_from, solve_nested
+from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.hierarchy import chain, hierarchy, nested, stepwise
+from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
+from fenicsx_obstacle.discrete.levels import Level, refined_where
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest, return_freed_memory
-from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
-from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.problems.record import record_of
+from fenicsx_obstacle.problems.solve import Solved, State, solve
 from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
-    from fenicsx_obstacle.answers.time_stepper import TimeStepper
     from fenicsx_obstacle.estimation.bound import Bound, Estimator
     from fenicsx_obstacle.scenes.functionals import Report
 
@@ -61,7 +56,7 @@ class SolverContext:
         self,
         scene: Scene,
         comm: MPI.Comm = MPI.COMM_WORLD,
-        level: levels.Level | None = None,
+        level: Level | None = None,
         before: SolverContext | None = None,
         options: SolverOptions | None = None,
     ):
@@ -82,12 +77,11 @@ class SolverContext:
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(Data(scene.model, level))
-        self._grids: list[Multigrid] | None = None
+        self._levels: Levels | None = None
         self._on_meshes = False
-        self._problems: list[Problem] | None = None
-        self._solved_below = before is not None and nested(scene.effects, scene.pair, self.options)
-        if before is not None and self._solved_below:
-            self._grids = self._above(before)
+        self._ready = 0  # coarsest levels that hold their solutions
+        if before is not None and nested(scene.effects, scene.pair, self.options):
+            self._levels = self._above(before)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
         if scene.report:
@@ -116,7 +110,7 @@ class SolverContext:
     def _free(self) -> None:
         """Free everything but the mesh (collective)."""
         del self.problem
-        self._grids = self._problems = self._report = self._exact = self._estimator = None
+        self._levels = self._report = self._exact = self._estimator = None
 
     def close(self) -> None:
         """Free matrices and solvers; answers stay (collective)."""
@@ -129,13 +123,12 @@ class SolverContext:
             InputError: For cells that are no simplices.
         """
         level = self.problem.level
-        return SolverContext(self.scene, level.comm, levels.refined_where(level, marked), self, self.options)
+        return SolverContext(self.scene, level.comm, refined_where(level, marked), self, self.options)
 
     @property
     def multigrid(self) -> Multigrid | None:
         """That of this mesh, if solves use it (first use is collective)."""
-        used = nested(self.scene.effects, self.scene.pair, self.options) and self.problem.level.coarse is not None
-        return self._hierarchy()[-1] if used else None
+        return self._levels_for(self.options).multigrids[-1]
 
     @property
     def exact(self) -> Exact | None:
@@ -165,7 +158,7 @@ class SolverContext:
 
     def forget_levels(self) -> None:
         """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
-        self._grids = self._problems = None
+        self._levels, self._ready = None, 0
         garbage.free(level.comm for level in self.problem.level.with_meshes)
         return_freed_memory()
 
@@ -201,38 +194,23 @@ class SolverContext:
         """
         problem, scene, options = self.problem, self.scene, options or self.options
         estimator = self.estimator if bound else None  # raises before anything is solved
-        grids: Sequence[Multigrid | System] = []
-        if nested(scene.effects, scene.pair, options):
-            looked_at = uncertainty or monitor is not None
-            grids = found if len(found := self._hierarchy(on_meshes=looked_at)) > 1 else []
-        at_rest = scene.time is None or scene.time.order == EQUILIBRIA
-        if at_rest and stepwise(scene.effects, scene.pair, options) and problem.level.coarse is not None:
-            grids = self._chain()
+        levels = self._levels_for(options, on_meshes=uncertainty or monitor is not None)
         start = time.perf_counter()
         if problem.state.multiplier is not None:  # of an earlier solve
             problem.state.multiplier[:] = 0.0
             problem.state.share_all()
-        moment = problem.data.moment
-        if (
-            scene.time is not None and moment is not None and moment.t > 0
-        ):  # earlier time stepping has left the data of its end
-            moment.go_back(scene.time)
-            below = [grid.problem if isinstance(grid, Multigrid) else grid for grid in grids[:-1]]
-            for one in (problem, *reversed(below)):
-                one.move(one.cold_start())
-        method, time_history, solved = method_of(problem, options), None, False
-        if monitor is not None:
-            method = replace(method, solve=partial(method.solve, monitor=monitor))
+        time_history = None
         if scene.time is None:
-            outcomes = self._at_rest(method, grids, near)
-            last, solved = outcomes[-1], len(outcomes) > 1
-            counts = {"newton_total": sum(o.iterations for o in outcomes),
-                      "krylov_total": sum(o.krylov for o in outcomes)}  # fmt: skip
+            found = self._at_rest(levels, options, near, monitor)
+            last, state, nests = found.outcome, found.state, len(found.outcomes) > 1
+            counts = {"newton_total": sum(o.iterations for o in found.outcomes),
+                      "krylov_total": sum(o.krylov for o in found.outcomes)}  # fmt: skip
         else:
-            stepper = self._time_stepper(method, grids)
-            last = stepper.run(restart, keep)
-            time_history, counts = stepper.time_history, stepper.counts
-        state = state_of(problem, method)
+            from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
+
+            stepper = TimeStepper(levels, options, self._reported, self._fields, monitor)
+            last, nests = stepper.run(restart, keep), False
+            time_history, counts, state = stepper.time_history, stepper.counts, stepper.state
         seconds = time.perf_counter() - start
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
@@ -240,13 +218,11 @@ class SolverContext:
         certified = None if estimator is None else estimator.bound()
         answer = self._answer(options, last, counts, state, seconds, certified, time_history)
         if uncertainty:
-            record = {**answer.record, "uncertainty": self._uncertainty(answer, grids, options, solved=solved)}
+            record = {**answer.record, "uncertainty": self._uncertainty(answer, levels, options, solved=nests)}
             answer = replace(answer, record=record)
         return self.measured(answer) if errors else answer
 
-    def _uncertainty(
-        self, answer: Answer, grids: Sequence[Multigrid | System], options: SolverOptions, *, solved: bool
-    ) -> dict[str, Any]:
+    def _uncertainty(self, answer: Answer, levels: Levels, options: SolverOptions, *, solved: bool) -> dict[str, Any]:
         """What coarser meshes say of each quantity, or why they say nothing (collective)."""
         from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
         from fenicsx_obstacle.discrete.jumps import jump_inside
@@ -267,7 +243,7 @@ class SolverContext:
         try:
             found = []
             if scene.time is None:  # the coarser levels of a time stepper have no history
-                found = uncertainty.on_coarser_meshes(grids, options, answer.eps, report, solved=solved)
+                found = uncertainty.on_coarser_meshes(levels, options, answer.eps, report, solved=solved)
             for coarser, its_options in [] if found else uncertainty.coarser_scenes(scene, options, answer.eps):
                 with closing(SolverContext(coarser, comm, options=its_options)) as context:
                     found.append(uncertainty.quantities(context.answer(errors=False).record))
@@ -287,34 +263,17 @@ class SolverContext:
         return answer if self.exact is None else _with_errors(answer, self.exact)
 
     def _at_rest(
-        self, method: Method, grids: Sequence[Multigrid | System], near: np.ndarray | None = None
-    ) -> list[Outcome]:
-        """Solve from a near solution, from the coarsest level on, or from a cold start (collective)."""
-        if not grids:
-            if near is not None and (found := solve_from(self.problem, near, method.solve)) is not None:
-                return [found]
-            self.problem.set_reference(self.problem.cold_start())
-            return [method.solve(self.problem)]
-        stiffness = np.inf if method.eps is None else 1.0 / method.eps
-        if self._solved_below:
-            new = 2 if self.problem.level.pair.has_p1_coarse_space else 1
-            return solve_nested(grids[-new:], method.solve, stiffness, self._hierarchy()[-1 - new].problem)
-        return solve_nested(grids, method.solve, stiffness, start=near)
+        self, levels: Levels, options: SolverOptions, near: np.ndarray | None, monitor: StepMonitor | None
+    ) -> Solved:
+        """Solve from a near solution, that on a coarser mesh, or the coarsest level on (collective)."""
 
-    def _time_stepper(self, method: Method, grids: Sequence[Multigrid | System]) -> TimeStepper:
-        """The time stepper of the scene (collective)."""
-        from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
+        def begin(_: float | None) -> None:
+            assert near is not None
+            self.problem.set_reference(near)
 
-        problem, scene = self.problem, self.scene
-        assert scene.time is not None
-        grid = grids[-1] if grids and isinstance(grids[-1], Multigrid) else None
-        below = [one.problem if isinstance(one, Multigrid) else one for one in grids[:-1]]
-        if scene.time.order == EQUILIBRIA and grids:
-            solve: Callable[[], list[Outcome]] = partial(self._at_rest, method, grids)
-        else:  # the last moment is the best start
-            solve = lambda: [method.solve(problem, multigrid=grid)]  # noqa: E731
-        state = partial(state_of, problem, method)
-        return TimeStepper(problem, below, solve, state, self._reported, self._fields, method.penalty)
+        ready = self._ready if len(levels) > 1 else 0
+        start = None if near is None else begin
+        return solve(levels, options, start=start, ready=ready, monitor=monitor)
 
     def _reported(self, state: State) -> dict[str, float | None]:
         """The output quantities of [report] (collective)."""
@@ -324,36 +283,33 @@ class SolverContext:
         share = 1.0 if time_ is None else time_.share
         return self._report.evaluate(state.u, state.pressure, state.touching, support * share)
 
-    def _chain(self) -> list[Problem]:
-        """Problems of all levels, kept like the problem of the finest (first use is collective)."""
-        if self._problems is None:
-            start = time.perf_counter()
-            self._problems = chain(self.problem)
-            self.setup_seconds += time.perf_counter() - start
-        return self._problems
-
-    def _above(self, before: SolverContext) -> list[Multigrid]:
-        """The multigrid of all levels, those of the mesh below taken over (collective)."""
-        below, level = before._hierarchy(), self.problem.level
+    def _above(self, before: SolverContext) -> Levels:
+        """The levels of the mesh below, which holds its solution, with those of this mesh (collective)."""
+        below, level, finer = before._levels_for(before.options), self.problem.level, list[System]()
         if level.pair.has_p1_coarse_space:  # P1 on this mesh is above P1 on the other
             assert level.coarse is not None
             below = below[:-1]
-            below = [*below, Multigrid(Problem(Data(self.problem.model, level.coarse)), below[-1])]
-        return [*below, Multigrid(self.problem, below[-1])]
+            finer = [Problem(Data(self.problem.model, level.coarse))]
+        self._ready = len(below)
+        return below.with_finer([*finer, self.problem])
 
-    def _hierarchy(self, *, on_meshes: bool = False) -> list[Multigrid]:
-        """Problems and multigrid of all levels, kept like the problem of the finest (first use is collective).
+    def _levels_for(self, options: SolverOptions, *, on_meshes: bool = False) -> Levels:
+        """The levels of a solve, kept like the problem (first use is collective).
 
         Args:
+            options: Of the solve.
             on_meshes: As for `hierarchy`; what was made with meshes serves otherwise too.
         """
-        if self._grids is None or (on_meshes and not self._on_meshes):
+        if not has_levels(self.problem, options):
+            return levels_of(self.problem, options)
+        if self._levels is None or (on_meshes and not self._on_meshes):
             start = time.perf_counter()
-            self._grids, self._on_meshes = multigrid.chain(hierarchy(self.problem, on_meshes=on_meshes)), on_meshes
+            self._levels, self._on_meshes = levels_of(self.problem, options, on_meshes=on_meshes), on_meshes
+            self._ready = 0
             for level in self.problem.level.with_meshes:
                 level.forget_points()
             self.setup_seconds += time.perf_counter() - start
-        return self._grids
+        return self._levels
 
     def _answer(
         self,
@@ -368,12 +324,14 @@ class SolverContext:
         problem, level, scene, eps = self.problem, self.problem.level, self.scene, outcome.eps
         seconds += self.setup_seconds
         tables = scene.tables
-        figures = output_quantities(
-            problem, options.method, eps, state, name=scene.name, title=tables.title, refine=tables.mesh.refine
-        )
-        spent = Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)
+
+        def spent() -> Seconds:
+            return Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)
+
+        figures = record_of(problem, options.method, outcome, state, spent, name=scene.name, title=tables.title,
+                            refine=tables.mesh.refine)  # fmt: skip
         record = {
-            **figures, **course_of(outcome, spent, level.comm), **counts, "poisson_seconds": self._poisson,
+            **figures, **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
         }  # fmt: skip
         if remarks := [*figures.get("remarks", ()), *counts.get("remarks", ())]:

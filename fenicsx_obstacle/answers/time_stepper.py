@@ -13,9 +13,11 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.algebra.penalty_parameter import PenaltySolve
+from fenicsx_obstacle.algebra.methods import method_of
+from fenicsx_obstacle.algebra.nested import Levels, solve_nested
+from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
-from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.steps import Steps
@@ -28,7 +30,7 @@ from fenicsx_obstacle.discrete.trapped_drift import check_drift_in_time
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import fields_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
-from fenicsx_obstacle.problems.state import State
+from fenicsx_obstacle.problems.solve import State, state_of
 from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
@@ -46,30 +48,34 @@ class TimeStepper:
 
     def __init__(
         self,
-        problem: Problem,
-        below: Sequence[System],
-        solve: Callable[[], list[Outcome]],
-        state: Callable[[], State],
+        levels: Levels,
+        options: SolverOptions,
         reported: Callable[[State], Row],
         fields: Callable[[State], Answer],
-        penalty: PenaltySolve | None,
+        monitor: StepMonitor | None = None,
     ):
-        """Prepare.
+        """Take the data of the start, and choose eps (collective).
 
         Args:
-            problem: On the finest level.
-            below: Those of the levels below.
-            solve: Solves the problem for the present data, from its present state (collective).
-            state: The present state, solved (collective).
-            reported: Its figures of [report] (collective).
-            fields: Its fields.
-            penalty: The penalty solve, whose eps is that of all steps; None if there is none.
+            levels: On which the scene is solved.
+            options: Of the solves.
+            reported: Figures of [report] for a state (collective).
+            fields: Fields of a state.
+            monitor: Called after each Newton step.
+
+        Raises:
+            InputError: For a bad eps.
         """
-        self.problem, self.below = problem, below
-        self._solve, self._state, self._reported, self._fields = solve, state, reported, fields
-        self._penalty = penalty
+        problem = levels.finest
+        assert isinstance(problem, Problem)
+        self.problem, self.below, self._levels = problem, levels.below, levels
+        self._reported, self._fields, self._monitor = reported, fields, monitor
         assert problem.model.time is not None
         self.moments: TimeDiscretization = problem.model.time
+        if problem.data.moment is not None and problem.data.moment.t > 0:  # time stepping before has left it there
+            self._go_back()
+        self._method = method_of(problem, options)
+        self._penalty = self._method.penalty
         self._newton = self._krylov = self._rejected = self._shortened = 0
         self._within: DataWithinSteps | None = None
         self._size = 0.0
@@ -101,6 +107,17 @@ class TimeStepper:
         self.problem.data.moment.go_back(self.moments)
         for one in (self.problem, *reversed(self.below)):
             one.move(one.cold_start())
+
+    def _solve(self) -> list[Outcome]:
+        """Solve for the present data: equilibria from coarser levels on, others from the last moment (collective)."""
+        if self.moments.order == EQUILIBRIA and len(self._levels) > 1:
+            return solve_nested(self._levels, self._method, monitor=self._monitor)
+        return solve_nested(self._levels[-1:], self._method, start=lambda _: None, monitor=self._monitor)
+
+    @property
+    def state(self) -> State:
+        """The present state, solved (collective)."""
+        return state_of(self.problem, self._method)
 
     @contextmanager
     def _at(self, t: float) -> Iterator[None]:
@@ -371,7 +388,7 @@ class TimeStepper:
             "step": len(self.rows), "t": t, "dt": dt,
             "newton": None if last is None else last.iterations, "krylov": None if last is None else last.krylov,
         }  # fmt: skip
-        state = self._state()
+        state = self.state
         if last is None:  # nothing is in balance yet: there is no pressure
             state.pressure.x.array[:] = state.touching.x.array[:] = 0.0
         figures: dict[str, Any] = {"energy": state.energy}

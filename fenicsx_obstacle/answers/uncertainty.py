@@ -16,17 +16,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from fenicsx_obstacle.algebra.methods import method_of
-from fenicsx_obstacle.algebra.multigrid import Multigrid
-from fenicsx_obstacle.algebra.nested import as_multigrid, begin_from, problem_of
+from fenicsx_obstacle.algebra.nested import Levels, begin_from
 from fenicsx_obstacle.algebra.options import SolverOptions
-from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.levels import of_pair
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import PenetrationWarning
-from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.problems.solve import State, solve
 from fenicsx_obstacle.scenes.scene import Scene
 
 MESHES = 3
@@ -116,7 +113,7 @@ def compared(found: Sequence[Any], degree: int = 1, *, resolved: bool = True, bo
 
 
 def on_coarser_meshes(
-    grids: Sequence[Multigrid | System],
+    levels: Levels,
     options: SolverOptions,
     eps: float | None,
     report: Callable[[Problem, State], Values],
@@ -126,7 +123,7 @@ def on_coarser_meshes(
     """The output quantities on the two next coarser meshes, the coarser first (collective).
 
     Args:
-        grids: Of the last solve, the coarsest first; left with other states and active sets, except for the finest.
+        levels: Of the last solve; left with other states and active sets, except for the finest.
         options: Of the last solve.
         eps: On the finest mesh, or None.
         report: The values of [report] of a problem that is in this state.
@@ -138,32 +135,38 @@ def on_coarser_meshes(
     Raises:
         NotConverged: With PETSc's reason.
     """
-    meshes = [(problem, as_multigrid(grid)) for grid in grids if isinstance(problem := problem_of(grid), Problem)]
-    pair = meshes[-1][0].level.pair if meshes else None
-    of_degree_2 = pair is not None and pair.has_p1_coarse_space
+    first = next(k for k, system in enumerate(levels.systems) if isinstance(system, Problem))
+    meshes = levels[first:]
+    assert isinstance(levels.finest, Problem)
+    pair = levels.finest.level.pair
+    of_degree_2 = pair.has_p1_coarse_space
     coarser = meshes[: -2 if of_degree_2 else -1][1 - MESHES :]
     if len(coarser) < MESHES - 1:
         return []
     found, below = [], None
-    for times, (problem, multigrid) in zip(EPS_TIMES, coarser, strict=True):
+    for number, times in enumerate(EPS_TIMES):
+        here = coarser[number : number + 1]
+        problem = here.finest
+        assert isinstance(problem, Problem)
         if of_degree_2:
-            assert pair is not None and multigrid is not None
-            fine = Problem(Data(problem.model, levels.of_pair(problem.level, pair)))
+            fine = Problem(Data(problem.model, of_pair(problem.level, pair)))
             begin_from(fine, problem)
-            problem, multigrid = fine, Multigrid(fine, multigrid)
+            here, problem = here.with_finer([fine])[1:], fine
         elif below is not None and not solved:
             begin_from(problem, below)
-        method = method_of(problem, _scaled(options, eps, times))
         with warnings.catch_warnings():  # eps is that of the finest mesh, for which the user is warned
             warnings.simplefilter("ignore", PenetrationWarning)
-            method.solve(problem, multigrid=multigrid)
-        state = state_of(problem, method)
+            state = solve(here, _scaled(options, eps, times), start=_as_it_is).state
         found.append(quantities({
             "energy": state.energy, "penetration": state.contact.penetration, "report": report(problem, state),
             "contact": {"area": state.contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
         }))  # fmt: skip
         below = problem
     return found
+
+
+def _as_it_is(_: float | None) -> None:
+    """The present state is the start."""
 
 
 def coarser_scenes(scene: Scene, options: SolverOptions, eps: float | None) -> list[tuple[Scene, SolverOptions]]:

@@ -19,7 +19,7 @@ from ufl.algorithms import expand_derivatives
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.affine import MOSTLY, Affine
-from fenicsx_obstacle.algebra.system import State
+from fenicsx_obstacle.algebra.state import State
 from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual

@@ -62,6 +62,7 @@ class Data:
         moment: Where it is in time, or None.
         moving: What depends on time, and how it is sampled.
         givers: Where each boundary value stands, and the dofs that have it.
+        live: Whether `renew` takes data anew that the caller has changed.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class Data:
         self.moment, self.thin = moment, model.thin
         self.moving: dict[Cellwise, Callable[[], Cellwise]] = {}
         self.givers: list[tuple[str, np.ndarray]] = []
-        self._bcs, self._live = bcs, live
+        self._bcs, self.live = bcs, live
         self._here: dict[Field, Field] = {}
         # one datum may be given for several purposes, with other bounds in each
         self._cellwise: dict[tuple[Field, bool, float | None], Cellwise] = {}
@@ -135,7 +136,7 @@ class Data:
     def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
         """Samples of some data, updated for each time step if the data depend on time (collective)."""
         made = sample()
-        if self._live or any(field.moves for field in fields):
+        if self.live or any(field.moves for field in fields):
             self.moving[made] = sample
         return made
 

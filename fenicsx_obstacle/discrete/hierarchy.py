@@ -13,6 +13,7 @@ from fenicsx_obstacle.algebra.coarse import SMALLEST, algebraic_levels, below
 from fenicsx_obstacle.algebra.coarsening import BOUNDARY, FIXED, FREE, Nodes, first_keys
 from fenicsx_obstacle.algebra.kernels import kernels
 from fenicsx_obstacle.algebra.linear import LARGEST
+from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.releases import AMG as PRECONDITIONER
 from fenicsx_obstacle.algebra.system import System
@@ -20,6 +21,7 @@ from fenicsx_obstacle.discrete.cells import corners
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError
@@ -55,6 +57,37 @@ def stepwise(effects: Sequence[Effect], pair: Pair, options: SolverOptions) -> b
     """
     starts = options.start == "nested" and options.method != "successive"
     return starts and pair.nested_hierarchy and not nested(effects, pair, options)
+
+
+def has_levels(problem: Problem, options: SolverOptions) -> bool:
+    """Whether a problem is solved from coarser levels on: by truncated multigrid, or step by step for its starts."""
+    effects, pair, moments = problem.model.effects, problem.level.pair, problem.model.time
+    if problem.vector_valued or nested(effects, pair, options):
+        return True
+    at_rest = moments is None or moments.order == EQUILIBRIA  # otherwise the last moment is a better start
+    meshes = problem.level.coarse is not None and not problem.data.live
+    return at_rest and meshes and stepwise(effects, pair, options)
+
+
+def levels_of(problem: Problem, options: SolverOptions, *, on_meshes: bool = False) -> Levels:
+    """The levels on which a problem is solved; the problem alone if there are no others (collective).
+
+    Args:
+        problem: The problem.
+        options: Of its solves.
+        on_meshes: As for `hierarchy`.
+    """
+    if not has_levels(problem, options):
+        return Levels.of([problem], multigrid=False)
+    if problem.vector_valued:
+        from fenicsx_obstacle.discrete.vector_levels import coarse_vector_problems  # only where there is a body
+
+        return Levels.of([*coarse_vector_problems(problem), problem], multigrid=False)
+    if not nested(problem.model.effects, problem.level.pair, options):
+        return Levels.of(chain(problem), multigrid=False)
+    own = problem.data.live  # on the caller's mesh and in the caller's space alone
+    found = [*coarse_problems(problem), problem] if own else hierarchy(problem, on_meshes=on_meshes)
+    return Levels.of(found, multigrid=True)
 
 
 def chain(problem: Problem) -> list[Problem]:

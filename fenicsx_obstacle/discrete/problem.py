@@ -39,6 +39,7 @@ class Problem(System):
 
     law: Forms
     on_mesh = True
+    vector_valued = False
 
     def __init__(self, data: Data, prefix: str = ""):
         """Assemble what stays."""

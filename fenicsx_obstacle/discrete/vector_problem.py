@@ -103,6 +103,7 @@ class VectorProblem(RigidMotions, Problem):
     data: VectorData
     level: VectorLevel
     law: VectorForms
+    vector_valued = True
     eps_share = 1e-3  # D_i/A_ii is about .7 h/E* for degree 1 and .3 h/E* for degree 2
 
     def _make_forms(self) -> VectorForms:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numbers
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,19 +16,14 @@ from dolfinx.mesh import Mesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import garbage, releases
-from fenicsx_obstacle.algebra import multigrid
 from fenicsx_obstacle.algebra.linear import overriding, unread
-from fenicsx_obstacle.algebra.methods import Method, method_of
-from fenicsx_obstacle.algebra.multigrid import Multigrid
-from fenicsx_obstacle.algebra.nested import as_multigrid, problem_of, solve_nested
+from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.penalty_parameter import NoPositiveDiagonal
-from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step
-from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.hierarchy import coarse_problems, hierarchy, nested
+from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of
 from fenicsx_obstacle.discrete.levels import Level, of_space
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
@@ -59,10 +52,10 @@ from fenicsx_obstacle.problems.input_checks import (
     warn_of_conditions,
     warn_of_indefinite,
 )
-from fenicsx_obstacle.problems.output_quantities import course_of, output_quantities
+from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.problems.state import State, state_of
+from fenicsx_obstacle.problems.solve import Solved, solve
 from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
@@ -71,21 +64,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Estimator
     from fenicsx_obstacle.problems.vector_valued import VonMises
 
-PATIENCE = 5  # steps from a start of the caller's before the coarse levels give one
 Monitor = Callable[[int, Step], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """The result of a solve.
-
-    Attributes:
-        outcome: Of the iteration.
-        state: The fields.
-    """
-
-    outcome: Outcome
-    state: State
 
 
 class ObstacleProblem:
@@ -304,7 +283,7 @@ class ObstacleProblem:
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = {} if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
-        self._grids: Sequence[Multigrid | System] | None = None
+        self._levels: Levels | None = None
         self._solved_before = False
         self._eps: float | None = None
 
@@ -378,9 +357,12 @@ class ObstacleProblem:
             self._estimator = self._bounds()
         found = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
-        figures = output_quantities(problem, method, found.outcome.eps, found.state, name=self.name)
-        spent = time.perf_counter() - started + self._setup_seconds
-        record = {**figures, **course_of(found.outcome, Seconds(spent, 0.0, spent), level.comm)}
+
+        def seconds() -> Seconds:
+            spent = time.perf_counter() - started + self._setup_seconds
+            return Seconds(spent, 0.0, spent)
+
+        record = record_of(problem, method, found.outcome, found.state, seconds, name=self.name)
         certified = self._estimator.bound() if bound and self._estimator is not None else None
         if certified is not None:
             record["bound"] = {**certified.record, "effectivity": None}
@@ -417,13 +399,13 @@ class ObstacleProblem:
             problem = self._problem
             if method != "vi":
                 options = SolverOptions(method, value, source=f"{self.name}:")
-            try:
-                way = method_of(problem, options, known=self._eps)
-            except NoPositiveDiagonal:
-                refuse_no_positive_diagonal(problem, self._diagonal(), self._form, self.name)
+            levels = self._levels_for(options)
+            start = self._press if len(levels) == 1 or self._has_start() else None
             numbered = None if monitor is None else _Numbered(monitor, problem)
             try:
-                outcome = self._iterated(way, options, partial(way.solve, tolerance=rtol, monitor=numbered))
+                found = solve(levels, options, known=self._eps, start=start, tolerance=rtol, monitor=numbered)
+            except NoPositiveDiagonal:
+                refuse_no_positive_diagonal(problem, self._diagonal(), self._form, self.name)
             except NotConverged as error:
                 if self._form is None:
                     raise
@@ -431,47 +413,21 @@ class ObstacleProblem:
                 problem.set_reference(self.u.x.array[: problem.owned].copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             warn_of_indefinite(problem, self._form, self.name)
-            state = state_of(problem, way)
-        self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
-        if options.eps == "auto" and outcome.eps is not None:
-            self._eps = outcome.eps  # so that the next solve gives the same solution
-        return Solved(outcome, state)
+        self.u.x.array[:], self._pressure, self._solved_before = found.state.u.x.array, found.state.p, True
+        if options.eps == "auto" and found.outcome.eps is not None:
+            self._eps = found.outcome.eps  # so that the next solve gives the same solution
+        return found
 
-    def _iterated(self, way: Method, options: SolverOptions, solve: Callable[..., Outcome]) -> Outcome:
-        """Solve from u, or by nested iteration if u is no start or a bad one (collective)."""
-        problem = self._problem
-        serves = self._vector_valued or nested(problem.model.effects, problem.level.pair, options)
-        grids = self._levels() if serves else []
-        spent = 0
-        if len(grids) < 2 or self._has_start():
-            if way.eps is not None:
-                self._press(way.eps)
-            if len(grids) < 2:
-                return solve(problem)
-            try:
-                return solve(problem, multigrid=as_multigrid(grids[-1]), patience=PATIENCE)
-            except NotConverged as error:
-                spent = error.iterations
-        outcome = solve_nested(grids, solve, np.inf if way.eps is None else 1.0 / way.eps)[-1]
-        return replace(outcome, iterations=spent + outcome.iterations)
-
-    def _levels(self) -> Sequence[Multigrid | System]:
-        """Multigrid of all levels, or their problems where u is vector-valued, with the data of now (collective)."""
-        if self._grids is None:
-            self._grids = self._made_levels()
+    def _levels_for(self, options: SolverOptions) -> Levels:
+        """The levels of a solve, with the data of now (first use is collective)."""
+        if not has_levels(self._problem, options):
+            return levels_of(self._problem, options)
+        if self._levels is None:
+            self._levels = levels_of(self._problem, options)
         elif self._form is not None:
-            for grid in reversed(self._grids[:-1]):
-                problem_of(grid).renew(stiffness=False)  # which algebraic levels notice themselves
-        return self._grids
-
-    def _made_levels(self) -> Sequence[Multigrid | System]:
-        problem = self._problem
-        if self._vector_valued:
-            from fenicsx_obstacle.discrete.vector_levels import coarse_vector_problems
-
-            return [*coarse_vector_problems(problem), problem]
-        own = self._form is not None  # on the caller's mesh and in the caller's space alone
-        return multigrid.chain([*coarse_problems(problem), problem] if own else hierarchy(problem))
+            for system in reversed(self._levels.below):
+                system.renew(stiffness=False)  # which algebraic levels notice themselves
+        return self._levels
 
     def _has_start(self) -> bool:
         """Whether u is more than one number, or contact alone holds it (collective)."""
@@ -545,11 +501,11 @@ class ObstacleProblem:
         """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""
         return diagonal_of(self._problem)[~self._problem.fixed]
 
-    def _press(self, eps: float) -> None:
+    def _press(self, eps: float | None) -> None:
         """Let nodes of u that are at an obstacle, and pressed against it in the last solution, do so again: w = -eps p
         there (collective)."""
         problem = self._problem
-        if not problem.floating:
+        if eps is not None and not problem.floating:
             w = problem.w[: len(self._pressure)]
             w -= eps * np.where((np.minimum(*problem.gaps()) == 0) & ~problem.fixed, self._pressure, 0.0)
             problem.state.share()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.hierarchy import nested
+from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import meshes
@@ -65,7 +67,13 @@ class Solves:
             else:
                 self.close()  # the old mesh goes before the new one comes
                 self.work = self._context(scene)
-        answer = self.work.answer(scene.options, yardstick=True, near=near, uncertainty=uncertainty)
+        solve = partial(self.work.answer, scene.options, yardstick=True, uncertainty=uncertainty)
+        try:
+            answer = solve(near=near)
+        except NotConverged:
+            if near is None:
+                raise
+            answer = solve()
         self._measure(values, answer)
         self._last = values, answer
         return answer

@@ -1,12 +1,12 @@
-"""Output quantities of a solution."""
+"""The record of a solution: output quantities, counts, times."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.penalty_parameter import large_penetration
@@ -16,27 +16,36 @@ from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.io.origin import command, versions
 from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
-from fenicsx_obstacle.problems.state import State
+from fenicsx_obstacle.problems.solve import State
 from fenicsx_obstacle.problems.values import Seconds
 
 COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse
 
 
-def output_quantities(
-    problem: Problem, method: str, eps: float | None, state: State, *, name: str = "", title: str = "", refine: int = 0
+def record_of(
+    problem: Problem,
+    method: str,
+    outcome: Outcome,
+    state: State,
+    seconds: Callable[[], Seconds],
+    *,
+    name: str = "",
+    title: str = "",
+    refine: int = 0,
 ) -> dict[str, Any]:
-    """Description of the problem and output quantities of its solution (collective).
+    """Description of the problem, output quantities of its solution, counts, times and memory (collective).
 
     Args:
         problem: Just solved.
         method: By which method.
-        eps: Penalty parameter, or None.
+        outcome: Of the iteration.
         state: What came out.
+        seconds: The times, when all quantities are computed.
         name: Of the problem.
         title: Of the problem.
         refine: How often the mesh of a file was refined.
     """
-    level, contact = problem.level, state.contact
+    level, contact, eps = problem.level, state.contact, outcome.eps
     figures: dict[str, Any] = {
         "scene": name, "title": title, "method": method,
         **({"m_matrix": problem.m_matrix} if method == "successive" else {}),
@@ -60,15 +69,10 @@ def output_quantities(
             figures["boundary_jump"] = jump
     if problem.constrained and problem.affine and level.pair.nodal and problem.model.time is None:
         figures["round_off"] = round_off(problem, state.p, eps)
-    return figures
-
-
-def course_of(outcome: Outcome, seconds: Seconds, comm: MPI.Comm) -> dict[str, Any]:
-    """Iteration counts, times and memory of a solve (collective)."""
     return {
-        "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
-        "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, "seconds": asdict(seconds),
-        "memory_mb": peak_memory_mb(comm), "versions": versions(), "command": command(comm.size),
+        **figures, "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
+        "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, "seconds": asdict(seconds()),
+        "memory_mb": peak_memory_mb(level.comm), "versions": versions(), "command": command(level.comm.size),
     }  # fmt: skip
 
 

@@ -1,13 +1,18 @@
-"""Fields and contact of a solved problem."""
+"""The one path from a discrete problem at rest to its solution: fields, contact and counts."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.algebra.methods import Method
+from fenicsx_obstacle.algebra.methods import Method, method_of
+from fenicsx_obstacle.algebra.nested import Levels, solve_nested
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.snes import Outcome
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
 
@@ -42,6 +47,58 @@ class State:
         forces = {"lower": self.contact.lower_force, "upper": self.contact.upper_force}
         gaps = {"lower": problem.below, "upper": problem.above}
         return {side: force for side, force in forces.items() if gaps[side] is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The result of a solve.
+
+    Attributes:
+        outcomes: Of the levels that were solved, the finest last.
+        state: On the finest.
+    """
+
+    outcomes: list[Outcome]
+    state: State
+
+    @property
+    def outcome(self) -> Outcome:
+        """Of the iteration on the finest level."""
+        return self.outcomes[-1]
+
+
+def solve(
+    levels: Levels,
+    options: SolverOptions,
+    *,
+    known: float | None = None,
+    start: Callable[[float | None], None] | None = None,
+    ready: int = 0,
+    tolerance: float = TOLERANCE,
+    monitor: StepMonitor | None = None,
+) -> Solved:
+    """Solve the finest problem of some levels, for its present data (collective).
+
+    Scenes, forms, elastic bodies and their coarser meshes all come here. Steps in time repeat the middle line.
+
+    Args:
+        levels: Those of the problem.
+        options: Method and eps.
+        known: As for `method_of`.
+        start: As for `solve_nested`, as the next three.
+        ready: The number of coarsest levels that are solved.
+        tolerance: Unbalanced force over acting forces.
+        monitor: Called after each step.
+
+    Raises:
+        InputError: For a bad eps.
+        NotConverged: With PETSc's reason.
+    """
+    problem = levels.finest
+    assert isinstance(problem, Problem)
+    method = method_of(problem, options, known=known)
+    outcomes = solve_nested(levels, method, start=start, solved=ready, tolerance=tolerance, monitor=monitor)
+    return Solved(outcomes, state_of(problem, method))
 
 
 def state_of(problem: Problem, method: Method) -> State:
