@@ -40,12 +40,12 @@ class State:
 
     @property
     def eps(self) -> float:
-        """The penalty parameter."""
+        """The penalty parameter, a number here: `method_of` makes one of "auto" and of formulas."""
         return self._eps
 
     @eps.setter
     def eps(self, value: float) -> None:
-        self._eps = value
+        self._eps = float(value)
 
     def share(self) -> None:
         """Called when w has changed: forms need its values at dofs of other ranks (collective)."""
