@@ -8,6 +8,7 @@ import pytest
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers import goal
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.problems.summary import summary
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.text import with_error
 from tests.conftest import COMM, DEMOS
@@ -177,3 +178,22 @@ def test_data_that_jump_inside_cells(place):
     truth = solve(scene, cells=2000).report["vol"]  # whose nodes are at the jumps
     found = solve(scene, goal="vol", tol=0.1).record["goal"]
     assert abs(found["value"] - truth) <= 3 * found["error"]
+
+
+@pytest.mark.parametrize(
+    ("strip", "cells"), [((0.123, 0.1277), 50), ((0.581, 0.5883), 16), ((0.331, 0.3344), 64), ((0.407, 0.6092), 32)]
+)
+def test_a_strip_inside_cells_is_not_settled(strip, cells):
+    """No finer mesh is known to have it: the estimate says so, however small it is, and names the datum."""
+    tension = f"where(x < {strip[0]}, 1, where(x < {strip[1]}, 0.01, 1))"
+    scene = Scene(mesh={"shape": "interval", "cells": cells}, tension=tension, lower=-0.3, load=-9,
+                  boundary=[{"value": 0}])  # fmt: skip
+    found = solve(scene, goal="force", tol=0.05)
+    assert found.goal.words.startswith("estimated, not settled: ") and "tension jumps inside cells" in found.goal.words
+    assert "is reached, but by an estimate that is not settled" in summary(found.record, "")
+
+
+def test_a_strip_along_facets_is_settled():
+    scene = Scene(mesh={"shape": "interval", "cells": 32}, tension="where(x < 0.25, 1, where(x < 0.5, 0.01, 1))",
+                  lower=-0.3, load=-9, boundary=[{"value": 0}])  # fmt: skip
+    assert solve(scene, goal="force", tol=0.05).goal.words == "estimated"

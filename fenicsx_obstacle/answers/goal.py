@@ -23,7 +23,7 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.jumps import cells_with_jumps
+from fenicsx_obstacle.discrete.jumps import JUMPS, cells_with_jumps, jump_inside
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
@@ -134,7 +134,7 @@ class GoalAdaptation(Adaptation):
 
     Attributes:
         goal: The quantity.
-        words: 'estimated', or how far the error of the energy is guaranteed.
+        words: 'estimated', 'estimated, not settled' with the reason, or how far the error of the energy is guaranteed.
         estimate: Of its error on the last mesh.
     """
 
@@ -178,6 +178,8 @@ class GoalAdaptation(Adaptation):
         found = self._guaranteed(context) if self._bounded else None
         if found is None:
             self._bounded, found = False, self._estimated(context)
+            jump = jump_inside(context.problem.data)  # of which no finer mesh is known to have it at the right place
+            self.words = "estimated" if jump is None else f"estimated, not settled: {jump.source} {JUMPS}"
         answer, self.estimate = found
         self.note(answer, self.estimate.error, _relative(self.estimate), self.estimate.unknowns)
         return answer, self.estimate.indicator

@@ -225,7 +225,7 @@ class SolverContext:
     def _uncertainty(self, answer: Answer, levels: Levels, options: SolverOptions, *, solved: bool) -> dict[str, Any]:
         """What coarser meshes say of each quantity, or why they say nothing (collective)."""
         from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
-        from fenicsx_obstacle.discrete.jumps import jump_inside
+        from fenicsx_obstacle.discrete.jumps import JUMPS, jump_inside
 
         start, scene, comm = time.perf_counter(), self.scene, self.problem.level.comm
         if (why := uncertainty.reason(scene)) is not None:
@@ -254,7 +254,7 @@ class SolverContext:
             return {"reason": uncertainty.REASON}
         three = [*found, uncertainty.quantities(answer.record)]
         jump = jump_inside(self.problem.data)
-        remark = {} if jump is None else {"reason": f"{jump.source} {uncertainty.REASON_JUMP}"}
+        remark = {} if jump is None else {"reason": f"{jump.source} {JUMPS}"}
         said = uncertainty.compared(three, self.problem.level.pair.degree, resolved=jump is None)
         return comm.bcast({**said, **remark, "seconds": time.perf_counter() - start})
 

@@ -39,7 +39,6 @@ GROWS = 0.03  # last change over the value, from which on a value that grows is 
 REASON = "it takes two coarser meshes: a number of cells that 4 divides, 16 or more, or --refine 2 for a file"
 REASON_STEPS = "it takes two solves with fewer steps: a number of steps under [time] that 4 divides"
 REASON_TOLERANCE = "it takes steps that are scaled as h, and [time] tolerance chooses them; give their number instead"
-REASON_JUMP = "jumps inside cells; lay edges of cells along the jump"
 Values = dict[str, float | None]
 
 

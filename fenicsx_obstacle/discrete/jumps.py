@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-HALVINGS = 30  # a Lipschitz function differs by 1e-9 of what it did, a root by 3e-5
+JUMPS = "jumps inside cells; lay edges of cells along the jump"  # of a datum, in messages
+HALVINGS = 30  # of lengths: a Lipschitz function differs by 1e-9 of what it did, a root by 3e-5
 JUMP = 1e-3  # of the range of the datum, from which on a difference that is left is a jump
 INSIDE = 1e-6  # of the way from a vertex to the midpoint: a jump on facets is none inside cells
 
@@ -43,24 +45,53 @@ def _jumps(data: Data) -> Iterator[tuple[Field, np.ndarray]]:
 def _jumping(data: Data, field: Field, cells: np.ndarray) -> np.ndarray:
     """Those of some owned cells in which a datum jumps (collective).
 
-    From the midpoint of each cell to each of its vertices a segment is halved, and the half is kept at whose ends the
-    datum differs more. A jump between them is left.
+    Each simplex is bisected, and the half is kept in which the datum differs more. A jump is a difference that is left.
     """
-    level = data.level
-    ends = corners(level.mesh, cells)
-    middle = np.broadcast_to(ends.mean(axis=1, keepdims=True), ends.shape)
-    which = np.repeat(cells, ends.shape[1])
-    low, high = middle.reshape(-1, 3), (ends + INSIDE * (middle - ends)).reshape(-1, 3)
-    at_low, at_high = (data.at(field, x.T, which) for x in (low, high))
-    values = np.concatenate([at_low, at_high])
+    level, here, names = data.level, data.here(field), data.names(field)
+    dim, gdim = level.mesh.topology.dim, level.mesh.geometry.dim
+    x = corners(level.mesh, cells)
+    simplices = _simplices(x + INSIDE * (x.mean(axis=1, keepdims=True) - x), dim)
+    which, x = np.repeat(cells, simplices.shape[1]), simplices.reshape(-1, dim + 1, 3)
+    values = here.at(x.reshape(-1, 3).T, names, np.repeat(which, dim + 1))
     values = values[np.isfinite(values)]
     limit = JUMP * (largest(level.comm, values) - smallest(level.comm, values))
-    apart = np.abs(at_high - at_low) > limit
-    which, low, high, at_low, at_high = (part[apart] for part in (which, low, high, at_low, at_high))
-    for _ in range(HALVINGS):  # as many on all ranks
-        x = (low + high) / 2
-        at_x = data.at(field, x.T, which)
-        first = np.abs(at_x - at_low) >= np.abs(at_high - at_x)
-        low, at_low = np.where(first[:, None], low, x), np.where(first, at_low, at_x)
-        high, at_high = np.where(first[:, None], x, high), np.where(first, at_x, at_high)
-    return which[np.abs(at_high - at_low) > limit]
+
+    def differs(x: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """By how much, where it has no condition that holds in a part of a simplex: 0."""
+        known = here.over(x[..., :gdim], names, which)
+        if known is not None:
+            bounds = known.once()
+            return np.where(bounds.whole, 0.0, np.asarray(bounds.upper) - bounds.lower)
+        points = np.concatenate([x, x.mean(axis=1, keepdims=True)], axis=1)
+        there = here.at(points.reshape(-1, 3).T, names, np.repeat(which, dim + 2)).reshape(-1, dim + 2)
+        return np.ptp(there, axis=1)
+
+    left = differs(x, which)
+    for _ in range(HALVINGS * dim):  # as many on all ranks
+        there = ~(left <= limit)
+        x, which = x[there], which[there]
+        first, second = _halves(x)
+        of_first, of_second = differs(first, which), differs(second, which)
+        take = ~(of_first < of_second)
+        x, left = np.where(take[:, None, None], first, second), np.where(take, of_first, of_second)
+    return which[np.isfinite(left) & (left > limit)]
+
+
+def _simplices(x: np.ndarray, dim: int) -> np.ndarray:
+    """Cells divided into simplices, shape (cells, simplices, dim + 1, 3); quadrilaterals and hexahedra along a
+    diagonal."""
+    if x.shape[1] == dim + 1:
+        return x[:, None]
+    ways = [[0, *np.cumsum([1 << axis for axis in order])] for order in permutations(range(dim))]
+    return x[:, ways]
+
+
+def _halves(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Simplices bisected at their longest edges."""
+    pairs = np.array(list(combinations(range(x.shape[1]), 2)))
+    lengths = ((x[:, pairs[:, 0]] - x[:, pairs[:, 1]]) ** 2).sum(axis=2)
+    (i, j), rows = pairs[lengths.argmax(axis=1)].T, np.arange(len(x))
+    middle = (x[rows, i] + x[rows, j]) / 2
+    first, second = x.copy(), x.copy()
+    first[rows, i], second[rows, j] = middle, middle
+    return first, second

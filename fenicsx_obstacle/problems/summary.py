@@ -127,7 +127,8 @@ def _tolerance(record: Mapping[str, Any]) -> list[str]:
         goal += f" for {adaptive['of']}"
         if adaptive["reached"]:
             where = f"on mesh {len(adaptive['path'])}"
-            return [f"  the {goal} is reached, {where}; eps and meshes were chosen for it"]
+            but = ", but by an estimate that is not settled" if "not settled" in record["goal"]["words"] else ""
+            return [f"  the {goal} is reached{but}, {where}; eps and meshes were chosen for it"]
     elif adaptive["reached"]:
         kind, _, what = record["bound"]["words"].partition(":")[0].partition("certified")
         words = ", by an indicator only" if kind else f",{what}" if what else ""

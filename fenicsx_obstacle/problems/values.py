@@ -89,7 +89,8 @@ class Quantity:
         error: Guaranteed or estimated error of the value.
         relative: The error divided by the absolute value; None if the value is 0.
         words: 'estimated', or 'guaranteed' (perhaps 'on the polygon of the mesh'). The energy with sampled data has
-            'estimated for the sampled load', or with other data.
+            'estimated for the sampled load', or with other data. Where a datum jumps inside cells it begins with
+            'estimated, not settled': the estimate is then no measure of the error.
         mesh: Part of the error due to the mesh. A guaranteed error consists of this part only.
         penalty: Part of the error due to eps.
         dofs: Number of unknowns of the finest mesh that was solved for the estimate.

@@ -267,7 +267,7 @@ def _goal(goal: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The quantity that had a tolerance, with its error and how far it is guaranteed."""
     relative = "" if goal["relative"] is None else f", {goal['relative']:.3g} of the value"
     known = [(goal["name"], f"{with_error(goal['value'], goal['error'])}{relative}"), ("the error is", goal["words"])]
-    if goal["words"] == "estimated":
+    if goal["words"].partition(",")[0] == "estimated":
         on = f"estimated on a mesh with {goal['dofs']} unknowns"
         known += [("part: mesh", f"{goal['mesh']:.3g}: a finer mesh reduces it; {on}")]
         known += [("part: penalty", f"{goal['penalty']:.3g}: a smaller eps reduces it")]
