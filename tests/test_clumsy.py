@@ -264,8 +264,15 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
 def test_signals_end_all_processes(ranks, number, tmp_path):
     """SIGTERM and SIGHUP to the launcher alone: 128 + number, rows are kept, no process is left."""
     study = ["study", "disk_flat", "--vary", "cells=4,6,400", "--method", "vi", "--output", str(tmp_path)]
-    process = subprocess.Popen([LAUNCHER, "--ranks", str(ranks), *study], stdout=subprocess.DEVNULL, env=CLEAN,
-                               stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
+    process = subprocess.Popen(
+        [LAUNCHER, "--ranks", str(ranks), *study],
+        stdout=subprocess.DEVNULL,
+        env=CLEAN,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
+    )  # ignored under nohup
     rows = tmp_path / "rows.jsonl"
     deadline = time.monotonic() + 60
     while (not rows.exists() or rows.read_text().count("\n") < 2) and time.monotonic() < deadline:
