@@ -69,7 +69,7 @@ class SolverContext:
             before: A solver context on the level below, whose solution is the start.
             options: Of the solves, instead of those of the scene.
         """
-        scene.only_scalar("error bounds, adaptive meshes, Newton pictures, sliders and costs")
+        scene.only_scalar("error bounds, adaptive meshes, Newton pictures and costs")
         self.scene, self.options = scene, options or scene.options
         self.started = time.perf_counter()
         if level is None:
