@@ -7,19 +7,16 @@ A soft value in a cell that is partly hard is the worst, its error is not bounde
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners
+from fenicsx_obstacle.discrete.samples import Samples
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import agree
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.data import Data
 
 JUMP = 1.1  # ratio of values in a cell: a datum that varies less counts as smooth
 STEEP = 3.0  # of quadratics: positive values up to 4 on triangles, 4.5 on squares, 3.09 on cubes make them positive
@@ -27,7 +24,7 @@ INSET = 1e-6  # of the way to the middle: on the boundary of a cell the datum ma
 PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension
 
 
-def average(data: Data, tension: Field, made: fem.Function) -> None:
+def average(data: Samples, tension: Field, made: fem.Function) -> None:
     """Replace the values of a positive datum by its mean in cells in which it jumps (collective).
 
     Args:
@@ -67,7 +64,7 @@ def _jumps(values: np.ndarray) -> np.ndarray:
     return np.diff(ordered, axis=1).max(axis=1, initial=0.0) > 0.5 * np.ptp(ordered, axis=1)
 
 
-def _by_material(data: Data, tension: Field, count: int) -> list[tuple[np.ndarray, Field]]:
+def _by_material(data: Samples, tension: Field, count: int) -> list[tuple[np.ndarray, Field]]:
     """Local cells, and the datum there."""
     if tension.parts is None:
         return [] if tension.uniform else [(np.arange(count), tension)]
@@ -75,13 +72,13 @@ def _by_material(data: Data, tension: Field, count: int) -> list[tuple[np.ndarra
     return [(cells, part) for cells, part in parts if not part.uniform]
 
 
-def _in_cells(data: Data, name: str, count: int) -> np.ndarray:
+def _in_cells(data: Samples, name: str, count: int) -> np.ndarray:
     found = np.zeros(count, dtype=bool)
     found[data.level.groups[name]] = True
     return found
 
 
-def _values(data: Data, datum: Field, points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def _values(data: Samples, datum: Field, points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """At points (cells, n, 3) of some cells, shape (cells, n)."""
     return data.at(datum, points.reshape(-1, 3).T, np.repeat(cells, points.shape[1])).reshape(points.shape[:2])
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from math import factorial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -20,20 +20,18 @@ from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_tags import check_both_sides
 from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.samples import Samples
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.parallel import agree, first_given, largest, smallest, total
+from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.parts import Facets, Parts
     from fenicsx_obstacle.discrete.time_differences import Moment, Motion
-
-Sampled = TypeVar("Sampled", bound=Cellwise)
-ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
 
 
 class Weighted:
@@ -50,19 +48,14 @@ class Weighted:
         return integrand * self.weight * self.measure
 
 
-class Data:
-    """The data of a model on one mesh: samples of the effects, boundary values and obstacles.
+class Data(Samples):
+    """The data of a model on one mesh: of the effects, boundary values and obstacles.
 
     Everything is sampled on first use, which is collective, and kept.
 
     Attributes:
-        model: Whose data.
-        level: The mesh and V.
         thin: Whether obstacles are on the boundary, or on curves inside, instead of in the domain.
-        moment: Where it is in time, or None.
-        moving: What depends on time, and how it is sampled.
         givers: Where each boundary value stands, and the dofs that have it.
-        live: Whether `renew` takes data anew that the caller has changed.
     """
 
     def __init__(
@@ -77,68 +70,26 @@ class Data:
         """Sample nothing yet.
 
         Args:
-            model: What is to be solved.
-            level: Mesh and V.
-            moment: Of another level of the same mesh; by default the start of the model's time.
+            model: As for `Samples`.
+            level: As for `Samples`.
+            moment: As for `Samples`.
             bcs: Dirichlet conditions of V besides those of the model's boundary.
-            live: Whether `renew` is to take data anew that the caller has changed.
+            live: As for `Samples`.
         """
-        self.model, self.level = model, level
-        if model.time is not None and moment is None:
-            from fenicsx_obstacle.discrete.time_differences import Moment  # only where a model has time
-
-            moment = Moment.at_start(model.time)
-        self.moment, self.thin = moment, model.thin
-        self.moving: dict[Cellwise, Callable[[], Cellwise]] = {}
+        super().__init__(model, level, moment, live=live)
+        self.thin, self._bcs = model.thin, bcs
         self.givers: list[tuple[str, np.ndarray]] = []
-        self._bcs, self.live = bcs, live
-        self._here: dict[Field, Field] = {}
         # one datum may be given for several purposes, with other bounds in each
         self._cellwise: dict[tuple[Field, bool, float | None], Cellwise] = {}
         self._heights: dict[Field, fem.Function] = {}
         self._on_part: dict[tuple[Field, int, float | None], fem.Function] = {}
         self._definite: set[Rows] = set()
 
-    @property
-    def now(self) -> dict[str, float]:
-        """The value of t, where there is time."""
-        return {} if self.moment is None else {"t": self.moment.t}
-
-    def here(self, field: Field) -> Field:
-        """A datum on this mesh (collective on first use)."""
-        if field not in self._here:
-            self._here[field] = field.on(self.level)
-        return self._here[field]
-
-    def names(self, field: Field) -> Names:
-        """Present values on which a datum may depend besides x (collective if it is the first to need the distance).
-
-        Raises:
-            InputError: If it needs the distance, and this mesh has none.
-        """
-        if not field.needs_distance:
-            return self.now
-        try:
-            return {**self.now, "distance": self.boundary_distance}
-        except InputError as error:
-            raise InputError(f"{field}: {error}") from None
-
-    def at(self, field: Field, x: np.ndarray, cells: np.ndarray | None = None) -> np.ndarray:
-        """Values of a datum at points (3, n), of local cells where these are known, now (collective on first use)."""
-        return self.here(field).at(x, self.names(field), cells)
-
     def on(self, level: Level) -> Data:
         """The same data for other elements on the same mesh: what was interpolated is taken as it is."""
         other = Data(self.model, level, self.moment, self._bcs)
         other._here = self._here
         return other
-
-    def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
-        """Samples of some data, updated for each time step if the data depend on time (collective)."""
-        made = sample()
-        if self.live or any(field.moves for field in fields):
-            self.moving[made] = sample
-        return made
 
     def move(self) -> bool:
         """Sample anew what depends on time, for the present moment (collective).
@@ -171,14 +122,6 @@ class Data:
         in_cells = list(dict.fromkeys(key[0] for key in self._cellwise))
         return in_cells, list(self._heights), list(dict.fromkeys(key[:2] for key in self._on_part))
 
-    def _sample_again(self) -> None:
-        for made, sample in self.moving.items():
-            fresh = sample()  # has to live as long as its values are read
-            if isinstance(made, fem.Constant):
-                made.value = fresh.value
-            else:
-                made.x.array[:] = fresh.x.array
-
     # fields in cells and at nodes
 
     def cellwise(self, field: Field, *, positive: bool = False, least: float | None = None) -> Cellwise:
@@ -197,32 +140,6 @@ class Data:
     def values(self, field: Field, *, positive: bool = False) -> np.ndarray:
         """The values of `cellwise` at local dofs of W, or the one there is (collective on first use)."""
         return array_of(self.cellwise(field, positive=positive))
-
-    def nodal(self, field: Field, more: Names | None = None) -> fem.Function:
-        """Nodal interpolant in V, with values of further names (collective).
-
-        Raises:
-            InputError: If it is not finite somewhere, or given for the cells of each material, which share nodes.
-        """
-        function = self._interpolant(field, more)
-        self.refuse_infinite(function, field)
-        return function
-
-    def _interpolant(self, field: Field, more: Names | None = None) -> fem.Function:
-        """The same, finite or not (collective)."""
-        if field.parts is not None:
-            raise InputError(f"{field.source}: element {self.level.pair.name} needs one formula for all materials")
-        function = fem.Function(self.level.V)
-        self._sample(function, field, more)
-        return function
-
-    def at_nodes(self, field: Field) -> np.ndarray:
-        """Values at owned nodes (collective).
-
-        Raises:
-            InputError: As `nodal`.
-        """
-        return self.nodal(field).x.array[: self.level.owned]
 
     def height(self, field: Field) -> fem.Function:
         """Nodal interpolant in V, kept (collective on first use)."""
@@ -261,18 +178,20 @@ class Data:
             self._definite.add(rows)
         return ufl.as_matrix(entries)
 
-    def eigenvalues(self, rows: Rows) -> np.ndarray:
-        """Eigenvalues of the symmetric part, ascending, at local dofs of W, shape (dofs or 1, rows) (collective on
-        first use)."""
-        from fenicsx_obstacle.discrete.tensors import matrices_of
+    def matrices(self, rows: Rows) -> np.ndarray:
+        """Values of a matrix at local dofs of W, shape (dofs or 1, rows, rows) (collective on first use)."""
+        entries = np.broadcast_arrays(*(self.values(entry) for row in rows for entry in row))
+        return np.stack(entries, axis=1).reshape(-1, len(rows), len(rows))
 
-        matrices = matrices_of(self, rows)
+    def eigenvalues(self, rows: Rows) -> np.ndarray:
+        """Eigenvalues of its symmetric part, ascending, shape (dofs or 1, rows) (collective on first use)."""
+        matrices = self.matrices(rows)
         return np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
 
     def _check_definite(self, rows: Rows) -> None:
         from fenicsx_obstacle.discrete.tensors import check_definite  # only where a model has a matrix
 
-        check_definite(self, rows)
+        check_definite(self.level, rows, self.matrices(rows))
 
     # the domain
 
@@ -307,12 +226,6 @@ class Data:
         x, comm = self.level.points, self.level.comm
         return max(largest(comm, axis) - smallest(comm, axis) for axis in x)
 
-    def peclet(self, velocity: tuple[Field, ...]) -> float:
-        """The largest |velocity| h/(2 tension) of all cells (collective)."""
-        from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
-
-        return peclet(self, velocity)
-
     @cached_property
     def cell_size(self) -> Cellwise:
         """The side of each cell, sqrt(2|T|) or (6|T|)^(1/3); of other cells than simplices the grid's."""
@@ -331,13 +244,6 @@ class Data:
         function.x.array[:] = self.boundary_distance(self.level.points.T)
         function.x.scatter_forward()  # points of ghosts may differ from their owner's in the last digit
         return function
-
-    @cached_property
-    def boundary_distance(self) -> Callable[[np.ndarray], np.ndarray]:
-        """Distance to the boundary of points (n, 3) (first use is collective)."""
-        from fenicsx_obstacle.discrete.distance import BoundaryDistance  # with scipy: only where a datum needs it
-
-        return BoundaryDistance(self.level)
 
     @cached_property
     def motion(self) -> Motion:
@@ -526,33 +432,6 @@ class Data:
             raise InputError(f"{where}: holds on no facet of the boundary")
         return found
 
-    def _on_dofs(self, field: Field, dofs: np.ndarray) -> fem.Function:
-        """A Function with the values of a datum at some local dofs, 0 elsewhere (collective)."""
-        function = fem.Function(self.level.V)
-        function.x.array[dofs] = self._at_dofs(field, self.level.V, dofs)
-        self.refuse_infinite(function, field)
-        return function
-
-    # sampling
-
-    def _at_dofs(self, field: Field, V: fem.FunctionSpace, dofs: np.ndarray) -> np.ndarray:
-        """Values of a datum at some local dofs (collective)."""
-        here, names, points = self.here(field), self.names(field), self.level.points_of(V)
-        if not field.everywhere:
-            return here.interpolate(V, points, names)[dofs]
-        with agree(self.level.comm):
-            values = here.at(points[:, dofs], names)
-        return values
-
-    def _sample(self, function: fem.Function, field: Field, more: Names | None = None) -> None:
-        names = {**self.names(field), **(more or {})}
-        if field.uniform:
-            function.x.array[:] = self.here(field).at(np.zeros((3, 1)), names)
-        else:
-            V = function.function_space
-            function.x.array[:] = self.here(field).interpolate(V, self.level.points_of(V), names)
-            share(function)  # points of ghosts may differ from their owner's in the last digit
-
     def _checked_cells(self, field: Field, positive: bool, least: float | None) -> Cellwise:
         made = self._sample_cells(field)
         if positive:
@@ -615,52 +494,6 @@ class Data:
                 raise InputError(f"{field}: {what} at {self.place(found[1])}")
         function.x.scatter_forward()
         self.refuse_infinite(function, field)
-
-    # checks
-
-    def refuse_infinite(
-        self, function: Cellwise, field: Field | None = None, *, words: str = "", none: float = 0.0
-    ) -> None:
-        """All ranks raise if a value is not finite, naming one place (collective).
-
-        Args:
-            function: Sampled values.
-            field: What was sampled, or None.
-            words: What it is, for the message; by default the field.
-            none: What an obstacle has for a value where there is none, infinity with its sign.
-
-        Raises:
-            InputError: Of all ranks the first place.
-        """
-        values = array_of(function)
-        bad = ~(np.isfinite(values) | (values == none))
-        self._refuse(field, function, bad, "is not a finite number: it is", words)
-
-    def _refuse(self, field: Field | None, function: Cellwise, bad: np.ndarray, what: str, words: str = "") -> None:
-        """All ranks raise if any value is bad, naming one place (collective)."""
-        if isinstance(function, fem.Constant):
-            found, where = (float(function.value), np.zeros(3)) if bad.any() else None, ""
-        else:
-            found = self._first(function, bad)
-            where = "" if found is None else f" at {self.place(found[1])}"
-        if found is not None:
-            because = (
-                "" if field is None else field.because(found[1], self.now) + self.model.instead_of(field, found[0])
-            )
-            raise InputError(f"{words or f'{field}:'} {what} {found[0]:g}{where}{because}")
-
-    def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
-        """Value and place of the first bad dof, the same on every rank (collective)."""
-        points, values = self.level.points_of(function.function_space).T, function.x.array
-        mine = (values[np.argmax(bad)], points[np.argmax(bad)]) if bad.any() else None
-        return first_given(self.level.comm, mine)
-
-    def place(self, point: np.ndarray) -> str:
-        """A point (3,) in words; coordinates that are round-off are 0."""
-        least = ROUND_OFF * np.abs(point).max()
-        return (
-            "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
-        )
 
 
 class _Radius(Field):

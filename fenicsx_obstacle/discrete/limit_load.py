@@ -16,13 +16,13 @@ from fenicsx_obstacle.parallel import total
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.data import Data
-    from fenicsx_obstacle.discrete.problem import Problem
+    from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 
 HINT = "; no solution exists where the load is beyond the limit load of the film"
 ROUNDOFF_MARGIN = 1e-9  # of the force: what a load equal to its limit may be beyond it by round-off
 
 
-def check_limit_load(problem: Problem) -> None:
+def check_limit_load(problem: MeshSystem) -> None:
     """Reject loads beyond the limit load of an elastic effect with bounded force per length (collective).
 
     With |tension| < s, the equation tested with v = 1, and with a discrete v that is 1 at free and 0 at fixed dofs,

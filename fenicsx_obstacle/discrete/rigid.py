@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN, stiffness_of
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
+from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.contact_nodes import VectorLevel
-    from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 
 INDEPENDENT = 1e-8  # of the largest eigenvalue of a Gram matrix: vectors that are others' combinations
 LOOSE = 1e-11  # relative energy of a motion that nothing resists
@@ -55,7 +53,7 @@ def rigid_motions(x: np.ndarray, components: int) -> np.ndarray:
     return np.array(found).reshape(len(found), n, components)
 
 
-def motions_of(problem: VectorProblem) -> np.ndarray:
+def motions_of(problem: BodySystem) -> np.ndarray:
     """Rigid body motions in normal and tangential components at owned dofs, shape (motions, dofs) (collective)."""
     level, contact = problem.level, problem.data.contact
     centre, size = _box(level)
@@ -139,7 +137,25 @@ class RigidMotions(System, ABC):
             space.destroy()
 
 
-def check_held(problem: VectorProblem) -> np.ndarray | None:
+class BodySystem(RigidMotions, MeshSystem):
+    """The system of an elastic body on a mesh."""
+
+    data: VectorData
+    level: VectorLevel
+    vector_valued = True
+    loose: np.ndarray | None  # motions that only contact resists
+
+    @cached_property
+    def motions(self) -> np.ndarray:
+        return motions_of(self)
+
+    def bounded_sides(self) -> list[tuple[np.ndarray, float]]:
+        """Bounds at owned dofs on each side that has an obstacle, and where it is along N_i: 1 above, -1 below."""
+        sides = ((self.lower, -1.0), (self.upper, 1.0))
+        return [(bound, sign) for bound, sign in sides if bound is not None]
+
+
+def check_held(problem: BodySystem) -> np.ndarray | None:
     """Check that supports or contact hold the body (collective).
 
     A motion without elastic energy that supports allow does work against no force but contact's. So contact forces,
@@ -226,14 +242,14 @@ def moves_freely(problem: System, active: np.ndarray) -> str | None:
     )
 
 
-def _size(problem: VectorProblem) -> float:
+def _size(problem: BodySystem) -> float:
     """The sum of the loads at free dofs (collective)."""
     return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))
 
 
-def _energies(problem: VectorProblem, basis: np.ndarray) -> np.ndarray:
+def _energies(problem: BodySystem, basis: np.ndarray) -> np.ndarray:
     """This rank's part of z . A z over the mean diagonal of A, for pairs of motions (collective)."""
-    A = problem.law.stiffness
+    A = problem.matrices.stiffness
     x, y = A.createVecs()
     A.getDiagonal(x)
     mean = total(problem.level.comm, np.abs(x.array_r)) / problem.level.dofs
@@ -252,7 +268,7 @@ def _in_words(count: int) -> str:
     return f"{count} rigid body {'motion is' if count == 1 else 'motions are'} free"
 
 
-def _named(problem: VectorProblem, shares: np.ndarray) -> str:
+def _named(problem: BodySystem, shares: np.ndarray) -> str:
     """Motions in words: translations with their direction, rotations with their axis or point (collective).
 
     Args:

@@ -8,18 +8,15 @@ search finds: it follows the datum downwards, and each of its conditions to wher
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.points import locate
+from fenicsx_obstacle.discrete.samples import Samples
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.data import Data
 
 ROUND_OFF = 1e-8  # of the largest value: what is below zero by round-off
 STARTS = 6  # points that a search begins with
@@ -30,7 +27,7 @@ Quantity = Callable[[np.ndarray], np.ndarray]
 
 
 def inadmissible(
-    data: Data, fields: Sequence[Field], quantity: Quantity, bound: float, material: str | None = None
+    data: Samples, fields: Sequence[Field], quantity: Quantity, bound: float, material: str | None = None
 ) -> tuple[float, np.ndarray] | None:
     """A point of the mesh where a quantity made of data is below a bound, and its value there (collective).
 
@@ -62,7 +59,7 @@ def inadmissible(
     return None if len(inside) == 0 else (float(found[inside[0]]), points[inside[0]])
 
 
-def _inside(data: Data, points: np.ndarray, material: str | None) -> np.ndarray:
+def _inside(data: Samples, points: np.ndarray, material: str | None) -> np.ndarray:
     """Rows of the points (n, 3) that are in the mesh, or in cells of a material (collective)."""
     level = data.level
     if releases.cell_name(level.mesh) not in SIMPLICES:  # rectangles and boxes
@@ -75,13 +72,13 @@ def _inside(data: Data, points: np.ndarray, material: str | None) -> np.ndarray:
     return np.unique(np.concatenate(level.comm.allgather(rows)))
 
 
-def _first(data: Data, nodes: np.ndarray, bad: np.ndarray) -> np.ndarray:
+def _first(data: Samples, nodes: np.ndarray, bad: np.ndarray) -> np.ndarray:
     """The first of the bad nodes of all ranks, by coordinates, shape (0 or 1, 3) (collective)."""
     some = np.concatenate(data.level.comm.allgather(nodes[:, bad].T[:1]))
     return some[np.lexsort(some.T[::-1])[:1]]
 
 
-def _sought(data: Data, fields: Sequence[Field], quantity: Quantity, nodes: np.ndarray, limit: float) -> np.ndarray:
+def _sought(data: Samples, fields: Sequence[Field], quantity: Quantity, nodes: np.ndarray, limit: float) -> np.ndarray:
     """Points with values below the limit, the worst first, that a compass search comes to (collective).
 
     Every rank searches the same way, from the best nodes of all ranks.

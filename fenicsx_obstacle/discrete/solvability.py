@@ -14,7 +14,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.problem import Problem
+    from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 
 Sums: TypeAlias = Callable[[np.ndarray], np.ndarray]  # values at owned dofs, summed over each component
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
@@ -38,7 +38,7 @@ class Support(NamedTuple):
     balanced: np.ndarray | None = None
 
 
-def check_support(problem: Problem) -> Support:
+def check_support(problem: MeshSystem) -> Support:
     """Check that each connected part of the mesh is supported, and find a start for parts that only contact supports
     (collective).
 
@@ -118,7 +118,7 @@ def check_support(problem: Problem) -> Support:
     return Support(start, bool(alone.any()), borne if borne.any() else None, balanced if balanced.any() else None)
 
 
-def _soft_obstacles(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _soft_obstacles(problem: MeshSystem) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Local nodal values of the lower and the upper obstacle that are soft (collective on first use)."""
     found = (effect.sides(problem.data) for effect in problem.model.effects if effect.gives_way)
     return next(found, (None, None))
@@ -137,7 +137,7 @@ def _between(comm: MPI.Comm, soft: tuple[np.ndarray | None, np.ndarray | None]) 
     return (lower + upper) / 2, (upper - lower) / 4 or 1.0
 
 
-def _stiffness(problem: Problem, soft: np.ndarray | None, side: int, sums: Sums) -> np.ndarray:
+def _stiffness(problem: MeshSystem, soft: np.ndarray | None, side: int, sums: Sums) -> np.ndarray:
     """The force on each component per unit of u, where all of it is beyond a soft obstacle (collective)."""
     if soft is None:
         return sums(np.zeros(problem.level.owned))
@@ -148,7 +148,7 @@ def _stiffness(problem: Problem, soft: np.ndarray | None, side: int, sums: Sums)
 
 
 def _refuse(
-    problem: Problem, one: int, up: np.ndarray, down: np.ndarray, net: np.ndarray, held: np.ndarray, count: int
+    problem: MeshSystem, one: int, up: np.ndarray, down: np.ndarray, net: np.ndarray, held: np.ndarray, count: int
 ) -> None:
     """Raise the error for a component without support."""
     source = f"{problem.model.source}: "
@@ -169,7 +169,7 @@ def _refuse(
     raise InputError(f"{source}{where}, and no obstacle supports it: {PRESCRIBE}")
 
 
-def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
+def _forces(problem: MeshSystem, u_values: np.ndarray | float) -> np.ndarray:
     """a(u, .) - f at owned dofs for this u; the state is u = 0 before and after (collective)."""
     problem.w[:] = u_values
     problem.state.share()
@@ -180,7 +180,7 @@ def _forces(problem: Problem, u_values: np.ndarray | float) -> np.ndarray:
     return forces
 
 
-def _diagonal(problem: Problem) -> np.ndarray:
+def _diagonal(problem: MeshSystem) -> np.ndarray:
     """The diagonal of the stiffness at u = 0 (collective)."""
     state = problem.vector()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
@@ -190,13 +190,13 @@ def _diagonal(problem: Problem) -> np.ndarray:
     return values
 
 
-def _reached(problem: Problem, obstacle: np.ndarray | float, sums: Sums) -> np.ndarray:
+def _reached(problem: MeshSystem, obstacle: np.ndarray | float, sums: Sums) -> np.ndarray:
     """Whether a component has an obstacle somewhere (collective)."""
     there = np.isfinite(np.broadcast_to(obstacle, len(problem.level.parts[1]))[: problem.owned])
     return sums((there & ~problem.fixed).astype(float)) > 0
 
 
-def forces_at_work(problem: Problem, load: float) -> float:
+def forces_at_work(problem: MeshSystem, load: float) -> float:
     """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present u (collective).
 
     There the residual at u = 0, the load, is no measure of forces: mass over the square of a step outweighs all.

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
@@ -21,7 +21,7 @@ def torn(problem: System, active: np.ndarray) -> str | None:
     a cell of size h, and by less in the next. With R up to half of the domain that is less than the limit here.
     Concentrated loads make a film steep that is not curved, but then it falls as far in its other cells.
     """
-    assert isinstance(problem, Problem)
+    assert isinstance(problem, MeshSystem)
     comm, level, data = problem.comm, problem.level, problem.data
     across = 2 * largest(comm, level.points[0]) if data.axial else data.extent
     if level.h * FINE > across:

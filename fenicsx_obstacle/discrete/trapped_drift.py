@@ -9,8 +9,8 @@ import numpy as np
 from fenicsx_obstacle.algebra.linear import LARGEST
 from fenicsx_obstacle.algebra.plausibility import moved_by, solved
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.discrete.peclet import speed
-from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.residence import Drift, residence_time
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
@@ -19,7 +19,7 @@ TRAPPED = 50.0  # so many times the time in which drift crosses the domain: with
 NO_WAY_OUT = 1e4  # times the same: without one it is an exponential of Pe; in circles a multiple of Pe
 
 
-def check_drift_in_time(problem: Problem) -> None:
+def check_drift_in_time(problem: MeshSystem) -> None:
     """Reject drift that is trapped for longer than the scene lasts, on cells that do not resolve it (collective).
 
     The discrete drift then leaves after all, so that u stops growing. In circles it is diffusion that takes long.
@@ -42,7 +42,7 @@ def trapped(problem: System, active: np.ndarray) -> str | None:
     Where drift flows away from some places on all sides, or in circles, the time that a particle stays in the domain is
     the exponential of the work of the drift over the tension, and so is u. Cells with Pe > 1 do not resolve it.
     """
-    assert isinstance(problem, Problem)
+    assert isinstance(problem, MeshSystem)
     drift = problem.drift
     if drift is None or drift.number <= 1:
         return None
@@ -66,7 +66,7 @@ def _in_words(number: float) -> str:
     )
 
 
-def _longest_stay(problem: Problem, drift: Drift, held: np.ndarray) -> float:
+def _longest_stay(problem: MeshSystem, drift: Drift, held: np.ndarray) -> float:
     """The longest time that the drift stays in the domain, over that in which it crosses it (collective)."""
     if drift.reaction is None or not problem.affine:
         drift.reaction = problem.law.row_sums()
@@ -75,7 +75,7 @@ def _longest_stay(problem: Problem, drift: Drift, held: np.ndarray) -> float:
     return _crossings(problem, drift, time)
 
 
-def _crossings(problem: Problem, drift: Drift, time: float | None) -> float:
+def _crossings(problem: MeshSystem, drift: Drift, time: float | None) -> float:
     """A time over that in which the drift crosses the domain; infinite, or unknown and 0, if its system was not solved
     (collective)."""
     if time is None:

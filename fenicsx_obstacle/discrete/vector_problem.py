@@ -11,17 +11,15 @@ bounds of the variational inequality are simple, and w counts from the obstacle 
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.system import Check
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
-from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
+from fenicsx_obstacle.discrete.contact_nodes import VectorData
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.rigid import RigidMotions, check_held, motions_of, moves_freely
+from fenicsx_obstacle.discrete.rigid import BodySystem, check_held, moves_freely
 from fenicsx_obstacle.discrete.solvability import Support
 from fenicsx_obstacle.parallel import total
 
@@ -97,13 +95,10 @@ class NonlinearVectorForms(VectorForms):
         self.minus_load.set(0.0)
 
 
-class VectorProblem(RigidMotions, Problem):
+class VectorProblem(BodySystem, Problem):
     """A vector-valued problem on one mesh; u and obstacles of its methods are Cartesian, w, r and gaps are not."""
 
-    data: VectorData
-    level: VectorLevel
     law: VectorForms
-    vector_valued = True
     eps_share = 1e-3  # D_i/A_ii is about .7 h/E* for degree 1 and .3 h/E* for degree 2
 
     def _make_forms(self) -> VectorForms:
@@ -119,15 +114,6 @@ class VectorProblem(RigidMotions, Problem):
     @property
     def extent(self) -> float:  # type: ignore[override]
         return self.data.extent
-
-    @cached_property
-    def motions(self) -> np.ndarray:
-        return motions_of(self)
-
-    def bounded_sides(self) -> list[tuple[np.ndarray, float]]:
-        """Bounds at owned dofs on each side that has an obstacle, and where it is along N_i: 1 above, -1 below."""
-        sides = ((self.lower, -1.0), (self.upper, 1.0))
-        return [(bound, sign) for bound, sign in sides if bound is not None]
 
     def _check_support(self) -> Support:
         self.loose = check_held(self)

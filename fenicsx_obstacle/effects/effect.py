@@ -102,13 +102,6 @@ class Sampler(Protocol):
         """Integration over the part of the boundary that has a key, by the nodal rule of its facets if asked for."""
 
 
-class OutputSampler(Sampler, Protocol):
-    """A sampler with the quantities that outputs of effects need."""
-
-    def peclet(self, velocity: tuple[Field, ...]) -> float:
-        """The largest |velocity| h/(2 tension) of all cells (collective)."""
-
-
 class Units(Protocol):
     """Conversion of data to other units of length, u and force, and to another zero of u."""
 
@@ -265,7 +258,7 @@ class Effect:
         f."""
         return (self.elastic and self.affine) or self.area_load is not None
 
-    def outputs(self, data: OutputSampler) -> dict[str, float]:
+    def outputs(self, data: Sampler) -> dict[str, float]:
         """Output quantities of a result that belong to it, by their names there (collective)."""
         return {}
 

@@ -93,10 +93,8 @@ def of_solver(
 
 def matrix_of_solver(simplices: Simplices, rows: Rows) -> np.ndarray:
     """A matrix in each owned cell as the solver has it, shape (cells, d, d) (collective on first use)."""
-    from fenicsx_obstacle.discrete.tensors import matrices_of  # only where there is one
-
     data, count = simplices.data, len(simplices.area)
-    made = matrices_of(data, rows)
+    made = data.matrices(rows)
     if len(made) == 1:
         made = np.broadcast_to(made, (count, *made.shape[1:]))
     else:

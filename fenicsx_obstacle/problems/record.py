@@ -98,5 +98,7 @@ def _too_coarse(problem: Problem) -> list[str]:
 
 def _of_effects(problem: Problem) -> dict[str, float]:
     """Output quantities of the effects (collective)."""
-    outputs = (effect.outputs(problem.data) for effect in problem.model.effects)
-    return {name: value for found in outputs for name, value in found.items()}
+    found = {} if problem.drift is None else {"peclet": problem.drift.number}
+    for effect in problem.model.effects:
+        found |= effect.outputs(problem.data)
+    return found

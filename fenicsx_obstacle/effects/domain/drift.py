@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, OutputSampler, Reader, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,9 +63,6 @@ class Drift(Effect):
     @property
     def velocity(self) -> tuple[Field, ...]:
         return self.value
-
-    def outputs(self, data: OutputSampler) -> dict[str, float]:
-        return {"peclet": data.peclet(self.value)}
 
     @property
     def text(self) -> str:

@@ -1,0 +1,115 @@
+"""A `System` on a mesh: what checks, bounds and results ask of it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from dolfinx import fem
+
+from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.transfer import Transfer
+from fenicsx_obstacle.discrete.assembly import Forms, Nodal
+from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.discrete.duality import in_q
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.discrete.transfer import to_parents
+from fenicsx_obstacle.parallel import largest, smallest
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.discrete.residence import Drift
+
+
+class MeshSystem(System):
+    """A system whose unknowns are the dofs of a mesh.
+
+    All methods are collective.
+
+    Attributes:
+        data: The data of the model on this mesh.
+        model: What is to be solved.
+        level: The mesh and V.
+        law: The forms.
+        vector_valued: Whether u has several components.
+    """
+
+    data: Data
+    model: Model
+    level: Level
+    law: Forms
+    on_mesh = True
+    vector_valued = False
+
+    @property
+    def h(self) -> float:  # type: ignore[override]
+        return self.level.h
+
+    def heights(self) -> list[np.ndarray]:
+        return [np.atleast_1d(heights) for effect in self.model.effects for heights in effect.heights(self.data)]
+
+    def pushes(self) -> tuple[float, float] | None:
+        found = [push for effect in self.model.effects if (push := effect.push(self.data)) is not None]
+        if not found or len(found) < len(self.model.effects):
+            return None
+        return (sum(smallest(self.comm, push[0]) for push in found), sum(largest(self.comm, push[1]) for push in found))
+
+    def tension(self) -> float | None:
+        found = self.model.elastic.stiffness(self.data)
+        return None if found is None else largest(self.comm, found)
+
+    @property
+    def compliance_power(self) -> float:
+        dim = self.level.mesh.topology.dim
+        if not self.data.thin:
+            return 2.0 / dim
+        return 0.0 if dim == 1 else 1.0 / (dim - 1)
+
+    @property
+    def nodal_forms(self) -> Nodal:
+        """The forms of affine effects with contact at nodes."""
+        assert isinstance(self.law, Nodal)
+        return self.law
+
+    def in_components(self, u_values: np.ndarray) -> np.ndarray:
+        """Values of u in the components of w."""
+        return u_values
+
+    def in_q(self, values: np.ndarray) -> fem.Function:
+        """Values at owned points of I as a Function of Q_h (collective)."""
+        return in_q(self.level, values)
+
+    def pressures(self, p: np.ndarray) -> fem.Function:
+        """The same of pressures, whose Q_h may have more nodes (collective)."""
+        return self.in_q(p)
+
+    def solution(self) -> fem.Function:
+        """u = w + r."""
+        u = fem.Function(self.level.V, name="u")
+        u.x.array[: self.owned] = self.u
+        u.x.scatter_forward()
+        return u
+
+    @cached_property
+    def transfer(self) -> Transfer:  # type: ignore[override]
+        """Interpolation from the next coarser problem; by default from the mesh that this one was refined from (first
+        use is collective)."""
+        return to_parents(self.level.on_meshes if self.level.grids else self.level)
+
+    @property
+    def has_energy(self) -> bool:  # type: ignore[override]
+        w, data, effects = self.law.w, self.data, self.model.effects
+        derived = (e.energy(w, data) is not None or e.terms(w, self.law.v, data) is None for e in effects)
+        return all(effect.convex for effect in effects) and all(derived)
+
+    @cached_property
+    def drift(self) -> Drift | None:
+        """The drift of the model, if it has one; renewed with the stiffness (first use is collective)."""
+        velocity = next((found for effect in self.model.effects if (found := effect.velocity) is not None), None)
+        if velocity is None:
+            return None
+        from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
+        from fenicsx_obstacle.discrete.residence import Drift
+
+        return Drift(velocity, peclet(self.data, velocity))
