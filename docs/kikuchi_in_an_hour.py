@@ -32,7 +32,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle import Scene, checkout, contact_pressure, penalty, solve, solve_form, study
+from fenicsx_obstacle import ObstacleProblem, Scene, checkout, contact_pressure, penalty, solve, study
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.show.figures import COLOURS
 
@@ -123,7 +123,7 @@ assert np.allclose(p.x.array, answer.pressure.x.array)
 u, v = fem.Function(V), ufl.TestFunction(V)
 F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - f * v * ufl.dx
 ends = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] * (1 - x[0]), 0))
-solve_form(F, u, bcs=[fem.dirichletbc(fem.Function(V), ends)], upper=c, eps=eps)
+ObstacleProblem(F, u, bcs=fem.dirichletbc(fem.Function(V), ends), upper=c).solve(eps=eps)
 assert np.allclose(u.x.array, answer.u.x.array)
 
 # with the penalty added, F is the residual of (3.4); it is 0 for u, except at the Dirichlet nodes (set to 0 below)

@@ -60,7 +60,6 @@ _HOME = {
     "ball_gap": "forms.elasticity",
     "compare": "answers.difference",
     "solve": "answers.adapt",
-    "solve_form": "problems.solve_form",
     "solve_system": "algebra.solve_system",
     "study": "studies.convergence",
 }
@@ -85,7 +84,6 @@ __all__ = [
     "penalty",
     "plane_gap",
     "solve",
-    "solve_form",
     "solve_system",
     "study",
 ]

@@ -10,7 +10,7 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, Scene, releases, solve, solve_form
+from fenicsx_obstacle import InputError, ObstacleProblem, Scene, releases, solve
 from fenicsx_obstacle.discrete.components import components
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.meshes import coarsest
@@ -162,7 +162,7 @@ def test_hanging_nodes_are_rejected():
 
 
 def test_cells_of_the_callers_own_mesh():
-    """A cell without area and cells on top of each other are rejected with their place, also by solve_form."""
+    """A cell without area and cells on top of each other are rejected with their place, also by ObstacleProblem."""
     points = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, 0.5], [0, 1], [1, 0.5]])
     for cells, words in (
         ([[0, 1, 2], [0, 2, 3]], r"a triangle at \(0.5, 0.5, 0\) has no area"),
@@ -174,8 +174,8 @@ def test_cells_of_the_callers_own_mesh():
             level(mesh)
         V = releases.functionspace(mesh, "Lagrange", 1)
         u, v = fem.Function(V), ufl.TestFunction(V)
-        with pytest.raises(InputError, match="solve_form: .*" + words):
-            solve_form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, lower=-1)
+        with pytest.raises(InputError, match="ObstacleProblem: .*" + words):
+            ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, lower=-1)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

@@ -594,6 +594,7 @@ def test_without_scenes(tmp_path):
         ({"upper": "0.3"}, "ObstacleProblem: upper = '0.3': expected a number"),
         ({"bcs": [3]}, r"ObstacleProblem: bcs\[0\] = 3: expected what dolfinx.fem.dirichletbc returns"),
         ({"lower": 0.4}, "lower"),
+        ({"lower": 0.1}, "ObstacleProblem: a value of bcs lies below the lower obstacle: 0 against"),
         ({"J": 1}, "ObstacleProblem: J = 1: expected a UFL form, a bilinear form"),
         ({"energy": 1}, "ObstacleProblem: energy = 1: expected a UFL form, a functional of u"),
     ],

@@ -21,7 +21,7 @@ from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.answers.adapt import solve
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors
-from fenicsx_obstacle.problems.solve_form import solve_form
+from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.processes import tell
@@ -105,20 +105,19 @@ def _scenes() -> Iterator[Unsolvable]:
 
 def _forms() -> Iterator[Unsolvable]:
     """Somebody else's residual, which nothing is known of."""
-    for eps in (1e-6, None):
-        way = "SNES VI" if eps is None else "penalty"
+    for method in ("penalty", "vi"):
+        way = "SNES VI" if method == "vi" else "penalty"
         for rank in (0, -1):
             where = "first" if rank == 0 else "last"
             for field in ("load", "upper", "value", "start"):
-                if field == "start" and eps is None:
+                if field == "start" and method == "vi":
                     continue
                 yield Unsolvable(f"form, {way}: {field} not a number at one node of the {where} rank",
-                           _form(eps, spoilt=field, rank=rank), {})  # fmt: skip
-        yield Unsolvable(f"form, {way}: an energy without minimum", _form(eps, stiffness=-1.0, energy=True), {})
-        yield Unsolvable(f"form, {way}: held nowhere, pulled away", _form(eps, held=False, pull=-1.0), {})
-        yield Unsolvable(f"form, {way}: no matrix", _form(eps, stiffness=0.0), {})
-        yield Unsolvable(f"form, {way}: one step", _form(eps, pull=3.0),
-                   {f"{'vi' if eps is None else 'penalty'}_snes_max_it": 1})  # fmt: skip
+                           _form(method, spoilt=field, rank=rank), {})  # fmt: skip
+        yield Unsolvable(f"form, {way}: an energy without minimum", _form(method, stiffness=-1.0, energy=True), {})
+        yield Unsolvable(f"form, {way}: held nowhere, pulled away", _form(method, held=False, pull=-1.0), {})
+        yield Unsolvable(f"form, {way}: no matrix", _form(method, stiffness=0.0), {})
+        yield Unsolvable(f"form, {way}: one step", _form(method, pull=3.0), {f"{method}_snes_max_it": 1})
 
 
 def _catalogued(name: str, **given: Any) -> Callable[[MPI.Comm], object]:
@@ -137,7 +136,7 @@ def _squared(method: str, given: Mapping[str, Any]) -> Callable[[MPI.Comm], obje
 
 
 def _form(
-    eps: float | None, *, stiffness: float = 1.0, pull: float = 20.0, held: bool = True, energy: bool = False,
+    method: str, *, stiffness: float = 1.0, pull: float = 20.0, held: bool = True, energy: bool = False,
     spoilt: str = "", rank: int = 0,
 ) -> Callable[[MPI.Comm], object]:  # fmt: skip
     def run(comm: MPI.Comm) -> object:
@@ -159,7 +158,7 @@ def _form(
         F = k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - load * v * ufl.dx
         J = 0.5 * k * ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx - load * u * ufl.dx if energy else None
         bcs = [fem.dirichletbc(value, rim)] if held else []
-        return solve_form(F, u, bcs=bcs, upper=upper, eps=eps, energy=J)
+        return ObstacleProblem(F, u, bcs=bcs, upper=upper, energy=J).solve(eps=1e-6, method=method)
 
     return run
 

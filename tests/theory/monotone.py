@@ -14,7 +14,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.rules import nodal_rule
 from fenicsx_obstacle.parallel import largest, total
-from fenicsx_obstacle.problems.solve_form import solve_form
+from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, statement
@@ -92,7 +92,8 @@ class Line:
         nearest, v = fem.Function(self.V), ufl.TestFunction(self.V)
         bc = fem.dirichletbc(fem.Function(self.V), self.ends)
         gap = nearest - u
-        solve_form(h1(gap, v), nearest, bcs=[bc], upper=0.0, energy=0.5 * h1(gap, gap))
+        problem = ObstacleProblem(h1(gap, v), nearest, bcs=bc, upper=0.0, energy=0.5 * h1(gap, gap))
+        problem.solve(method="vi")
         return nearest
 
     def panel(self, title: str, functions: dict[str, fem.Function]) -> Panel:

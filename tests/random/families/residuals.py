@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import ufl
 from dolfinx import fem
@@ -11,7 +12,8 @@ from hypothesis import strategies as st
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.problems.solve_form import FormAnswer, solve_form
+from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
+from fenicsx_obstacle.problems.solution import Solution
 from tests.random.families.family import ANSWER, REJECTION, Family, Judgement
 
 
@@ -38,15 +40,17 @@ class Form(Family):
     name = "residual of one's own"
 
     def judge(self, judgement: Judgement) -> None:
-        found = judgement.attempt(lambda: self._solved(judgement), ANSWER if self.load > 0 else REJECTION, "solve_form")
+        expected = ANSWER if self.load > 0 else REJECTION
+        found = judgement.attempt(lambda: self._solved(judgement), expected, "ObstacleProblem")
         if found is None:
             return
-        force = found.contact.lower_force
+        force = found.force.lower
+        assert force is not None
         borne = self.foundation * 2 * abs(self.bump)
         judgement.check(abs(force - self.load) <= 1e-6 * self.load + borne,
                         f"contact force {force:.6g}, load {self.load:.6g}")  # fmt: skip
 
-    def _solved(self, judgement: Judgement) -> FormAnswer:
+    def _solved(self, judgement: Judgement) -> Solution:
         mesh = releases.settle(
             dmesh.create_unit_square(judgement.comm, self.cells, self.cells, ghost_mode=releases.FACET_GHOSTS)
         )
@@ -58,13 +62,19 @@ class Form(Family):
         if self.foundation:
             F, J = F + k * u * v * ufl.dx, J + 0.5 * k * u**2 * ufl.dx
         lower = -self.bump * ((x[0] - 0.4) ** 2 + (x[1] - 0.5) ** 2) if self.bump else 0.0
-        return solve_form(F, u, lower=lower, eps=self.eps, energy=J if self.energy else None)
+        return ObstacleProblem(F, u, lower=lower, energy=J if self.energy else None).solve(**self._how)
+
+    @property
+    def _how(self) -> dict[str, Any]:
+        """Arguments of `solve`."""
+        return {"method": "vi"} if self.eps is None else {"eps": self.eps}
 
     def text(self) -> str:
+        how = ", ".join(f"{key}={value!r}" for key, value in self._how.items())
         return (
             f"unit square, {self.cells} cells a side, P1: F = inner(grad(u), grad(v))*dx + {self.load}*v*dx"
             f" + {self.foundation}*u*v*dx; lower = {-self.bump}*((x - 0.4)^2 + (y - 0.5)^2);"
-            f" solve_form(F, u, lower=lower, eps={self.eps}{', energy=J' if self.energy else ''})"
+            f" ObstacleProblem(F, u, lower=lower{', energy=J' if self.energy else ''}).solve({how})"
         )
 
 
