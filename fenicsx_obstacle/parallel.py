@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -46,6 +47,20 @@ def agree(comm: MPI.Comm) -> Iterator[None]:
     first = next((rank for rank, error in enumerate(raised) if error is not None), None)
     if first is not None:
         raise mine if first == comm.rank and mine is not None else raised[first]
+
+
+def warn(comm: MPI.Comm, words: str, category: type[Warning] = UserWarning, *, stacklevel: int = 2) -> None:
+    """Warn on rank 0; where the user's filter makes an error of the warning, on all ranks (collective).
+
+    Args:
+        comm: Communicator.
+        words: The warning, the same on all ranks.
+        category: Its class.
+        stacklevel: As for `warnings.warn`, counted from the caller of this function.
+    """
+    with agree(comm):
+        if comm.rank == 0:
+            warnings.warn(words, category, stacklevel=stacklevel + 1)
 
 
 def _portable(error: Exception) -> Exception:

@@ -36,6 +36,12 @@ def test_contact_alone_with_little_stiffness():
     assert judged(OwnForm(1165, COMM)).word == "right"
 
 
+def test_a_film_beyond_its_limit():
+    """u = 1e96 was accepted as in balance: what is negligible grew with u."""
+    verdict = judged(OwnForm(20103, COMM))
+    assert verdict.word == "none" and "vi did not converge" in verdict.why
+
+
 def test_the_judge_sees_what_is_wrong():
     """A solution that is moved, or pushed through its obstacle, is not in balance."""
     form = OwnForm(FIRST, COMM)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.testing import assert_allclose
 from fenicsx_obstacle import InputError, ObstacleProblem, Scene, Solution, releases, solve
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import ObstacleError
-from fenicsx_obstacle.parallel import agree, on_root
+from fenicsx_obstacle.parallel import agree, on_root, warn
 from tests.conftest import DEMOS
 from tests.test_cli import run
 
@@ -246,3 +247,16 @@ def test_refined_submeshes_of_several_parts(ghosts: Any) -> None:
     half = solve(Scene(mesh={"shape": "rectangle", "x": [0, 0.25], "cells": 2, "refine": 1}, tension=1, load=-20,
                        lower=-0.02, boundary=[{"value": 0}]))  # fmt: skip
     assert fine.dofs == 2 * half.dofs and fine.force.lower == pytest.approx(2 * half.force.lower, rel=1e-4)
+
+
+def test_a_warning_that_is_an_error_is_one_on_all_ranks() -> None:
+    """Rank 0 alone warns; with `-W error` it would leave alone."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warn(COMM, "words", stacklevel=1)
+    assert [str(one.message) for one in caught] == ["words"] * (COMM.rank == 0)
+    assert all(one.filename == __file__ for one in caught)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(UserWarning, match="words"):
+            warn(COMM, "words")

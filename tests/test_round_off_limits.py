@@ -3,10 +3,14 @@
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from tests.hard.cases import case
 from tests.hard.judge import judge
 
@@ -37,3 +41,11 @@ def test_kinds_of_arithmetic(kind, needs):
     said = subprocess.run([sys.executable, "-c", JUDGED], env={**os.environ, "OPENBLAS_CORETYPE": kind}, check=True,
                           capture_output=True, text=True)  # fmt: skip
     assert said.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("name", "mesh", "eps"), [("gap_2", 1, 1e-12), ("steep", 1, 1e-10), ("nail", 1, 1e-8)])
+def test_what_round_off_limits_is_solved_again_from_the_obstacle_in_contact(name, mesh, eps):
+    """A state in balance to the round-off of a w that counts from another obstacle is no end."""
+    with closing(SolverContext(case(name).on(mesh))) as context:
+        last = context.answer(SolverOptions("penalty", eps)).history[-1]
+    assert last.unbalanced <= TOLERANCE * last.forces

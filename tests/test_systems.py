@@ -206,6 +206,8 @@ def test_steps_do_not_depend_on_the_size(how):
         ({"A": np.ones((3, 2))}, "A: expected a square matrix, it has 3 rows and 2 columns"),
         ({"A": 3 * np.eye(3) - np.ones((3, 3))}, "presses against no bound"),
         ({"points": np.zeros((3, 4))}, "points: expected finite coordinates of the shape"),
+        ({"points": np.zeros(3), "method": "successive"}, "points: expected finite coordinates of the shape"),
+        ({"A": scipy.sparse.csr_matrix(np.diag([2.0, 2.0, 0.0])), "fixed": [2]}, "A: no diagonal entry .* at 1 row"),
         ({"method": "newton"}, "method = 'newton'"),
         ({"eps": -1.0}, "eps = -1"),
     ],

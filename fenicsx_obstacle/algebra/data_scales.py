@@ -58,13 +58,23 @@ def nearest_gap(problem: System) -> float:
 
 
 def negligible_force(problem: System, stiffness: np.ndarray) -> float:
-    """A force that is negligible against stiffness times nearest gap (collective)."""
+    """A force that is negligible against stiffness times nearest gap (collective).
+
+    No gap counts as larger than the data: what is negligible does not grow with a u that diverges.
+    """
+    data = np.concatenate([problem.given[problem.fixed], *(np.ravel(side) for side in problem.obstacles())])
+    most = largest(problem.comm, np.abs(data[np.isfinite(data)]))
     nearest = nearest_gap(problem)
-    return NEGLIGIBLE_FORCE * nearest * total(problem.comm, stiffness) if np.isfinite(nearest) else 0.0
+    return NEGLIGIBLE_FORCE * min(nearest, most) * total(problem.comm, stiffness) if np.isfinite(nearest) else 0.0
 
 
 def stiffness_of(problem: System, *, exact_bounds: bool) -> np.ndarray:
-    """Diagonal of A at owned free dofs, 0 at fixed ones; without the penalty diagonal (collective)."""
+    """Diagonal of A at owned free dofs, 0 at fixed ones (collective).
+
+    Args:
+        problem: The system.
+        exact_bounds: Whether bounds hold contact. Otherwise A has the penalty diagonal of the last step.
+    """
     if exact_bounds and problem.affine and problem.nodal:
         return problem.matrices.diagonal * ~problem.fixed
     if not problem.A.assembled:  # no step was needed

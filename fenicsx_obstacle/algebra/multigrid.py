@@ -1,12 +1,12 @@
 """Truncated multigrid: the preconditioner for a matrix with contact nodes.
 
 At a contact node the penalty adds D_i/eps to the diagonal; the variational inequality fixes the node. Coarse
-corrections must not change contact nodes, so the rows of the prolongation there are zero (Kornhuber's truncation),
-and a coarse node is fixed if its coincident fine node is. With this alone coarse operators would be too soft along
-the free boundary, and without contact along a line. Galerkin products would correct this, but have to be computed
-again for every active set. Here the coarse operator is the stiffness matrix of its level plus a coarse penalty
-diagonal: the row sums of the finer operator, over nodes that are not fixed, minus those of the coarser one. So the
-active set changes diagonals only.
+corrections must not change fixed nodes, nor those where the penalty is far stiffer than A, so the rows of the
+prolongation there are zero (Kornhuber's truncation), and a coarse node is fixed if its coincident fine node is. With
+this alone coarse operators would be too soft along the free boundary, and without contact along a line. Galerkin
+products would correct this, but have to be computed again for every active set. Here the coarse operator is the
+stiffness matrix of its level plus a coarse penalty diagonal: the row sums of the finer operator, over nodes that are
+not fixed, minus those of the coarser one. So the active set changes diagonals only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import total
 
-# times the membrane around a node: a larger penalty diagonal fixes it; coarse corrections do not change it
+# times A_ii: a larger penalty diagonal fixes a node; coarse corrections do not change it
 STIFFER = 10.0
 ENOUGH_CLOSED = 0.75  # of the nodes for which coarse levels were made: the others are left to the smoother
 SMOOTHER = {

@@ -17,14 +17,12 @@ from fenicsx_obstacle.algebra.methods import Method
 from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.relaxation import relax
 from fenicsx_obstacle.algebra.snes import Outcome
-from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
+from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
 
 _log = logging.getLogger(__name__)
 FEW = 8  # Newton steps from a start that is said to be near, before coarser levels give one
-# on coarse levels, whose discretisation error is larger by far: a step, and this unbalanced force
-ON_THE_WAY: dict[str, Any] = {"least": 1, "tolerance": 1e-2}
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def solve_nested(
                 relax(system, _stiffness_of_contact(system, method.eps))
         how = of_finest
         if system is not finest:  # an algebraic level has nothing to be shown on
-            how = {**ON_THE_WAY, "monitor": monitor if system.on_mesh else None}
+            how = {"least": 1, "tolerance": ON_THE_WAY, "monitor": monitor if system.on_mesh else None}
         try:
             outcomes.append(method.solve(system, multigrid=multigrid, **how))
         except NotConverged as error:

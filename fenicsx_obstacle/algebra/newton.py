@@ -117,7 +117,9 @@ def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) 
     for _ in range(MAX_REFERENCE_UPDATES):
         # sets also repeat if the reference r of w is not the obstacle in contact
         final = outcome.reason == TOO_MANY and is_limited(problem, "penalty")
-        if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited) or in_balance(outcome):
+        if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+            break
+        if in_balance(outcome, how["tolerance"]):
             break
         outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
     return outcome
@@ -183,16 +185,17 @@ def _attempt(
     return run(problem, "penalty", options, stopping, objective=objective, multigrid=multigrid)
 
 
-def in_balance(outcome: Outcome) -> bool:
-    """Whether a state converged without the round-off of w being felt: with another reference r it is in balance too,
-    since u has not moved."""
-    return outcome.converged and not outcome.roundoff_limited
+def in_balance(outcome: Outcome, tolerance: float) -> bool:
+    """Whether a state is in balance to the tolerance, not only to the round-off of w: then it is so with another
+    reference r, since u has not moved."""
+    last = outcome.history[-1]
+    return outcome.converged and last.unbalanced <= tolerance * last.forces
 
 
 def joined(first: Outcome, second: Outcome) -> Outcome:
     """One outcome of two attempts; the history of one without a step has nothing new."""
     return replace(
-        second, solver=first.solver, iterations=first.iterations + second.iterations,
+        second, iterations=first.iterations + second.iterations,
         krylov=first.krylov + second.krylov, history=first.history + (second.history if second.iterations else ()),
         seconds=first.seconds + second.seconds,
     )  # fmt: skip

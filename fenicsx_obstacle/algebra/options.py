@@ -43,7 +43,7 @@ class SolverOptions:
 
     Attributes:
         method: penalty, successive or vi.
-        eps: Penalty parameter: a number in units of u/p, a formula in h, or "auto", which is `AUTO`.
+        eps: Penalty parameter: a number in units of u/p, a formula in h, or "auto" (`penalty_parameter`).
         start: nested, from the coarsest level of the mesh on, or cold.
         source: Where they come from, for messages.
 

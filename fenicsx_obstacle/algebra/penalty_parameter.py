@@ -9,8 +9,8 @@ then taken again with the smaller eps (`answers.time_stepper`).
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,10 @@ from fenicsx_obstacle.algebra.data_scales import negligible_force
 from fenicsx_obstacle.algebra.newton import diagonal_of, joined, smallest_eps, solve_penalty
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
-from fenicsx_obstacle.algebra.stopping import TOLERANCE
-from fenicsx_obstacle.algebra.system import LIMIT, System
+from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import largest, smallest, total, warn
 
 PENETRATION = 0.01  # of the range of u between the obstacles: the largest penetration that eps = "auto" accepts
 AIM = 0.1  # of that: the penetration that a new eps is chosen for
@@ -34,6 +34,9 @@ FLAT = 1e-8  # of the penetration: a smaller range of u is round-off, and no sca
 
 class NoPositiveDiagonal(InputError):
     """A has no positive diagonal entry at a contact node, from which eps = "auto" could be chosen."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__(f"{source} A has no positive diagonal entry at a contact node: give eps as a number")
 
 
 def penalty_parameter(problem: System, options: SolverOptions) -> float:
@@ -50,7 +53,7 @@ def penalty_parameter(problem: System, options: SolverOptions) -> float:
     formula, automatic = options.formula, options.eps == "auto"
     tension = problem.tension()
     if automatic and tension is None:
-        return _share_of_compliance(problem)
+        return _share_of_compliance(problem, options.source)
     eps, place = formula.value(problem.h), f"{options.source} eps = {formula.text}"
     if not 0 < eps < np.inf:
         raise InputError(f"{place}: must be positive, it is {eps:g}")
@@ -68,7 +71,7 @@ def penalty_parameter(problem: System, options: SolverOptions) -> float:
     return eps
 
 
-def _share_of_compliance(problem: System) -> float:
+def _share_of_compliance(problem: System, source: str) -> float:
     """A share of the median of D_i/A_ii over the free nodes, A being the stiffness at the present state (collective).
 
     Raises:
@@ -78,7 +81,7 @@ def _share_of_compliance(problem: System) -> float:
     good = (diagonal > 0) & (problem.weights > 0) & ~problem.fixed
     everywhere = np.concatenate(problem.comm.allgather(problem.weights[good] / diagonal[good]))
     if not len(everywhere):
-        raise NoPositiveDiagonal
+        raise NoPositiveDiagonal(source)
     return problem.eps_share * float(np.median(everywhere))
 
 
@@ -117,15 +120,17 @@ class PenaltySolve:
         """
         eps = self.eps
         outcome = self._once(problem, eps, tolerance, how)
-        if tolerance >= LIMIT or not self.automatic:
-            if tolerance < LIMIT and (found := large_penetration(problem)) and problem.comm.rank == 0:
-                warnings.warn(f"{self.source} {found}", PenetrationWarning, stacklevel=2)
+        if tolerance >= ON_THE_WAY or not self.automatic:
+            if tolerance < ON_THE_WAY and (found := large_penetration(problem)):
+                warn(problem.comm, f"{self.source} {found}", PenetrationWarning)
             return outcome
         how = {**how, "patience": None, "least": 0}
-        for _ in range(MOST_SOLVES):
+        for solves in count(1):
             fitting = fitting_eps(problem, eps)
             if fitting >= eps:
                 return outcome
+            if solves > MOST_SOLVES:
+                break
             if not problem.affine:
                 fitting = max(fitting, LOWERED * eps)
             if (fitting := max(fitting, smallest_eps(problem))) >= eps:

@@ -27,9 +27,10 @@ from fenicsx_obstacle.algebra.linear import (
 )
 from fenicsx_obstacle.algebra.multigrid import HeldRows, Holding, KeptLevels, Multigrid, OnInactive
 from fenicsx_obstacle.algebra.plausibility import violation
-from fenicsx_obstacle.algebra.stopping import MEANINGLESS, Step, Stopping, in_words
-from fenicsx_obstacle.algebra.system import LIMIT, System
+from fenicsx_obstacle.algebra.stopping import MEANINGLESS, ON_THE_WAY, Step, Stopping, in_words
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.parallel import total
 
 _log = logging.getLogger(__name__)
 
@@ -97,7 +98,7 @@ def run(
     if direct or chosen:
         multigrid = None
     linear: Mapping[str, Any] = {**(LINEAR if problem.symmetric else GENERAL), **problem.preconditioner}
-    directly = not chosen and not problem.preconditioner and direct_first(problem.dofs)
+    directly = multigrid is None and not (chosen or problem.preconditioner) and direct_first(problem.dofs)
     if direct or not problem.nodal or directly:
         linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
     held: Holding | None = multigrid
@@ -147,6 +148,7 @@ def run(
             snes.ksp.setConvergenceTest(Inexact(stopping, cold_start=multigrid is None))
         snes.setConvergenceTest(stopping)  # last: setting bounds or setting up a VI installs PETSc's own
         finished = attempt(lambda: snes.solve(None, x), snes, x, residual)
+        finished = total(problem.comm, not finished) == 0  # an error may be of one rank alone
     problem.set_state(x)
     reason = snes.getConvergedReason() if finished else PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
     outcome = Outcome(
@@ -199,12 +201,13 @@ def require(outcome: Outcome, problem: System, eps: float | None, tolerance: flo
         reason = in_words(outcome.reason) + problem.hint
         eps = None if outcome.reason == MEANINGLESS else eps
         raise NotConverged(outcome.solver, reason, outcome.iterations, eps=eps, h=problem.h)
-    if tolerance < LIMIT and outcome.active is not None:  # otherwise it is a start for a finer level
+    if tolerance < ON_THE_WAY and outcome.active is not None:
+        # before `violation`, which may leave another matrix in A
+        stiffness = stiffness_of(problem, exact_bounds=outcome.solver == "vi") if outcome.roundoff_limited else None
         found = violation(problem, outcome.active)
-        if outcome.roundoff_limited:
-            stiffness = stiffness_of(problem, exact_bounds=outcome.solver == "vi")
-            if not determined(problem, outcome.active, stiffness, outcome.history[-1].unbalanced):
-                found = in_words(MEANINGLESS)
+        unbalanced = outcome.history[-1].unbalanced
+        if stiffness is not None and not determined(problem, outcome.active, stiffness, unbalanced):
+            found = in_words(MEANINGLESS)
         if found is not None:
             raise NotConverged(outcome.solver, found, outcome.iterations, eps=None, h=problem.h)
     return outcome

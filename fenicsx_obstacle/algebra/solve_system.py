@@ -167,10 +167,11 @@ def solve_system(
     touchable = total(system.comm, np.count_nonzero(system.touchable)) > 0
     way = method_of(system, options, known=None if touchable else 1.0)  # if u is given everywhere, any eps
     coarser: list[System] = []
-    if points is not None and method != "successive" and system.symmetric:
+    if points is not None:
         with agree(system.comm):
             x = _points(points, system.owned)
-        coarser = _coarser(system, x)
+        if method != "successive" and system.symmetric:
+            coarser = _coarser(system, x)
     levels = Levels.of([*coarser, system], multigrid=True)
     outcome = solve_nested(levels, way)[-1]
     pressure = way.pressure(system)
@@ -203,6 +204,7 @@ def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
         given[~fixed] = 0.0
     diagonal = A.getDiagonal()
     wrong = {
+        "A: no diagonal entry (take an explicit 0 where u is given)": ~_diagonal_entries(A),
         "weights: must be positive": weights <= 0,
         "lower is above upper": low > high,
         "given values are not between the bounds": fixed & ((given < low) | (given > high)),
@@ -215,6 +217,15 @@ def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
     bounds = {side: bound if total(comm, np.isfinite(bound)) > 0 else None
               for side, bound in (("lower", low), ("upper", high))}  # fmt: skip
     return MatrixSystem(A, f, weights=weights, fixed=fixed, given=given, **bounds)
+
+
+def _diagonal_entries(A: PETSc.Mat) -> np.ndarray:
+    """Whether owned rows have an entry on the diagonal: Newton's matrices change it."""
+    starts, columns = A.getDiagonalBlock().getRowIJ()
+    rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    found = np.zeros(len(starts) - 1, dtype=bool)
+    found[rows[rows == columns]] = True
+    return found
 
 
 def _matrix(A: Any, comm: MPI.Comm) -> PETSc.Mat:

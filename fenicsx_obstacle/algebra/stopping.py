@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra import data_scales, releases
+from fenicsx_obstacle.algebra import releases
 from fenicsx_obstacle.algebra.data_scales import (
     EPSILON,
     ROUNDOFF_MARGIN,
@@ -24,14 +24,15 @@ from fenicsx_obstacle.algebra.data_scales import (
     negligible_force,
     stiffness_of,
 )
-from fenicsx_obstacle.algebra.system import LIMIT, System
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import total
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
-ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`discrete.problem`)
+# the same on coarse levels, whose discretisation error is larger by far: a state is a start then, and is not judged
+ON_THE_WAY = 1e-2
+ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
-NEGLIGIBLE_FORCE = data_scales.NEGLIGIBLE_FORCE
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
 CYCLING = PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN  # no reason of PETSc's says 'active sets repeat'
@@ -137,7 +138,7 @@ class Stopping:
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
             self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
             if (
-                self.tolerance >= LIMIT
+                self.tolerance >= ON_THE_WAY
                 or self.roundoff_limited
                 or determined(problem, active, self._stiffness(), unbalanced)
             ):
@@ -164,7 +165,7 @@ class Stopping:
         if self.exact_bounds:
             # complementarity: at the lower bound the support may only push up, a(u, phi) - f >= 0
             below, above = (lower <= self.touching) & (elastic > 0), (upper <= self.touching) & (elastic < 0)
-            residual = np.where(below | above, 0.0, elastic)
+            residual = np.where((below | above) & problem.touchable, 0.0, elastic)
         else:
             below, above = lower < 0, upper < 0
             residual = elastic + problem.reaction.array_r if problem.constrained else elastic.copy()
@@ -202,7 +203,7 @@ class Stopping:
         return negligible_force(self.problem, self._stiffness())
 
     def _stiffness(self) -> np.ndarray:
-        """Diagonal of A at owned free dofs; without the penalty diagonal, since fixed nodes do not move."""
+        """Diagonal of the present matrix at owned free dofs, with the penalty diagonal where there is one."""
         return stiffness_of(self.problem, exact_bounds=self.exact_bounds)
 
     def _repeats(self, active: np.ndarray) -> bool:

@@ -93,7 +93,9 @@ def _settled(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) 
     for _ in range(MAX_REFERENCE_UPDATES):
         if not outcome.converged:
             break
-        if not problem.update_reference(roundoff_limited=outcome.roundoff_limited) or in_balance(outcome):
+        if not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+            break
+        if in_balance(outcome, how["tolerance"]):
             break
         outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0, "before": outcome.active}))
     return outcome

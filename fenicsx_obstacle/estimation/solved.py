@@ -27,9 +27,9 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.algebra.data_scales import nearest_gap
+from fenicsx_obstacle.algebra.data_scales import NEGLIGIBLE_FORCE, nearest_gap
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
-from fenicsx_obstacle.algebra.stopping import NEGLIGIBLE_FORCE, TOLERANCE
+from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import ROUND_OFF
 from fenicsx_obstacle.effects.effect import residual

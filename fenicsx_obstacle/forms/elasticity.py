@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -14,7 +13,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.parallel import largest, smallest, warn
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import nearest, shown
 
@@ -87,8 +86,7 @@ class Elasticity:
             f"poisson = {high:g} with elements of degree 1: they begin to lock, which shows as noise in the "
             "pressure; degree 2 is better",
         )
-        if self.u.function_space.mesh.comm.rank == 0:
-            warnings.warn(self.remarks[0], stacklevel=4)
+        warn(self.u.function_space.mesh.comm, self.remarks[0], stacklevel=4)
 
     @property
     def _degree(self) -> int:

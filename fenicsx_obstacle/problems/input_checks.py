@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numbers
 import traceback
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from hashlib import sha256
@@ -28,7 +27,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import first_given, largest, smallest, total
+from fenicsx_obstacle.parallel import first_given, largest, smallest, total, warn
 from fenicsx_obstacle.problems.residual_form import ResidualForm, expanded
 from fenicsx_obstacle.text import one_line, shown
 
@@ -248,8 +247,9 @@ def warn_of_indefinite(problem: Problem, form: ResidualForm | None, place: str) 
     s = np.where(problem.fixed, 0.0, problem.u - problem.in_components(problem.cold_start()))
     forces = problem.law.forces_at(s) - problem.law.forces_at(0.0)
     curvature, size = (total(comm, one) for one in (s * forces, diagonal_of(problem) * s**2))
-    if curvature < -CURVATURE * size and comm.rank == 0:
-        warnings.warn(
+    if curvature < -CURVATURE * size:
+        warn(
+            comm,
             f"{place}: F = a(u, v) - f(v) is not positive definite: a(s, s) = {curvature:.3g} for the difference s "
             "between u and a cold start, so that u is no minimum of an energy, and other solutions may exist: has a "
             "term the wrong sign?",
@@ -409,8 +409,8 @@ def warn_of_conditions(bcs: Sequence[Any], comm: MPI.Comm, place: str) -> None:
         place: What messages call the problem.
     """
     for number, bc in enumerate(bcs):
-        if total(comm, len(bc.dof_indices()[0])) == 0 and comm.rank == 0:
-            warnings.warn(f"{place}: bcs[{number}] has no dofs, so that it has no effect", stacklevel=4)
+        if total(comm, len(bc.dof_indices()[0])) == 0:
+            warn(comm, f"{place}: bcs[{number}] has no dofs, so that it has no effect", stacklevel=4)
 
 
 def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
@@ -452,8 +452,8 @@ def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
         remedy = "" if kind == "cell" else "; ds is for facets of the boundary, and dS for those inside"
         if missing and len(missing) == len(counts):
             raise InputError(f"{place}: no {names[kind]} has the tag {tags}, so that a term is zero{remedy}")
-        if missing and mesh.comm.rank == 0:
-            warnings.warn(f"{place}: no {names[kind]} has the tag {tags}{remedy}", stacklevel=4)
+        if missing:
+            warn(mesh.comm, f"{place}: no {names[kind]} has the tag {tags}{remedy}", stacklevel=4)
 
 
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numbers
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,7 @@ from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.parallel import agree, largest, smallest, total
+from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
 from fenicsx_obstacle.problems.input_checks import (
     check_energy,
     check_form,
@@ -454,8 +453,9 @@ class ObstacleProblem:
                 raise InputError(f"{self.name}: petsc_options = {self._options}: PETSc: {why}") from error
             left = unread(options)
         ignored = [key for key in self._options if all(prefix + key in left for prefix in prefixes)]
-        if ignored and self.level.comm.rank == 0:
-            warnings.warn(f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}", stacklevel=6)
+        if ignored:
+            words = f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}"
+            warn(self.level.comm, words, stacklevel=6)
 
     def _begin(self) -> None:
         """Update changed data, and start from u (collective)."""

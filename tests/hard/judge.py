@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.data_scales import NEGLIGIBLE_FORCE
 from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.algebra.plausibility import NO_SOLUTION
-from fenicsx_obstacle.algebra.stopping import NEGLIGIBLE_FORCE
 from fenicsx_obstacle.algebra.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged

@@ -207,7 +207,7 @@ class OwnForm:
         if where == "far" and pressed != "both":
             other = "lower" if pressed == "upper" else "upper"
             self.options[other] = -far if other == "lower" else far
-        if sides == "boundary" and self.V.element.basix_element.degree == 1 and self.mesh.topology.dim > 1:
+        if sides == "boundary" and _degree(self) == 1 and self.mesh.topology.dim > 1:
             of_facets = self.mesh.topology.dim - 1
             facets = dmesh.locate_entities_boundary(self.mesh, of_facets, lambda x: np.isclose(x[0], 1))
             facets = np.sort(facets).astype(np.int32)
@@ -301,7 +301,11 @@ def judged(form: OwnForm) -> Verdict:
     if exact is None:
         return Verdict("one", why_not)
     height = largest(comm, exact.u.x.array) - smallest(comm, exact.u.x.array)
-    apart = largest(comm, np.abs(found.u.x.array - exact.u.x.array))
+    own = form.V.dofmap.index_map.size_local
+    differs = np.abs(found.u.x.array - exact.u.x.array)[:own]
+    if _degree(form) == 2:  # at vertices, which no obstacle holds, P2 answers a penetration at midpoints by several
+        differs = differs[_is_contact_node(form)]
+    apart = largest(comm, differs)
     size = max(height, largest(comm, np.abs(exact.u.x.array)) * 1e-9)
     if not apart <= 2 * PENETRATION * size:
         more = f"penetration {found.penetration:.3g}, eps {found.eps:.3g}"
@@ -321,8 +325,7 @@ def not_in_balance(form: OwnForm, solution: Any, *, penetrates: bool) -> str:
         free[dofs[dofs < own]] = False
         if largest(comm, np.abs(solution.u.x.array[dofs] - float(bc.value.value))) > 1e-9 * form.height:
             return "u is not what the Dirichlet condition says"
-    weights = form.assembled(form.v * form.options.get("measure", ufl.dx))
-    at = weights > 1e-9 * largest(comm, weights)  # for P2 on triangles at the midpoints of edges alone
+    at = _is_contact_node(form)
     x = V.tabulate_dof_coordinates().T[:, :own]
     sides = {}
     for name, missing in (("lower", -np.inf), ("upper", np.inf)):
@@ -344,6 +347,16 @@ def not_in_balance(form: OwnForm, solution: Any, *, penetrates: bool) -> str:
     if not left <= BALANCE * acting + _round_off(form, forces):
         return f"forces of {left:.3g} are not balanced, of {acting:.3g}"
     return ""
+
+
+def _degree(form: OwnForm) -> int:
+    return int(form.V.element.basix_element.degree)
+
+
+def _is_contact_node(form: OwnForm) -> np.ndarray:
+    """Whether an owned dof has a weight: for P2 on triangles the midpoints of edges alone (collective)."""
+    weights = form.assembled(form.v * form.options.get("measure", ufl.dx))
+    return weights > 1e-9 * largest(form.mesh.comm, weights)
 
 
 def _round_off(form: OwnForm, forces: np.ndarray) -> float:
