@@ -43,7 +43,7 @@ def test_kinds_of_arithmetic(kind, needs):
     assert said.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize(("name", "mesh", "eps"), [("gap_2", 1, 1e-12), ("steep", 1, 1e-10), ("nail", 1, 1e-8)])
+@pytest.mark.parametrize(("name", "mesh", "eps"), [("gap_2", 0, 1e-12), ("steep", 1, 1e-10)])
 def test_what_round_off_limits_is_solved_again_from_the_obstacle_in_contact(name, mesh, eps):
     """A state in balance to the round-off of a w that counts from another obstacle is no end."""
     with closing(SolverContext(case(name).on(mesh))) as context:
