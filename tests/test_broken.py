@@ -3,6 +3,7 @@
 A share of what `./obstacle hard --broken` tries, on the ranks of this session.
 """
 
+import os
 import re
 import shutil
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from tests.cli.broken.case import Broken, complaint
+from tests.cli.broken.case import LIMIT, Broken, complaint, time_limit
 from tests.cli.broken.collection import RIGHT, collect, make_meshes
 from tests.cli.broken.inside import attempt
 from tests.cli.broken.lines import LINES, scene_text
@@ -97,3 +98,12 @@ def scene_with(folder, changed):
     file = folder / "scene.toml"
     file.write_text(scene_text({**LINES, **changed}))
     return file
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(("load", "seconds"), [(0.5, LIMIT), (4.0, LIMIT), (12.0, 3 * LIMIT)])
+def test_a_busy_machine_has_more_time(load, seconds, monkeypatch):
+    """Four processes of the suite on two cores have the same time whatever they are, others make it longer."""
+    monkeypatch.setattr(os, "getloadavg", lambda: (load, 0.0, 0.0))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert time_limit(4) == seconds

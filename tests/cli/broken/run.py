@@ -10,13 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.cli.broken.case import LIMIT, Broken, complaint
+from tests.cli.broken.case import LIMIT, Broken, complaint, time_limit
 from tests.cli.broken.collection import collect, prepare
 from tests.processes import end, launch, launch_module, records, start
 
 EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth, and what only a process can show
 AT_ONCE = {1: 2, 3: 1}
-PATIENCE = 4 * LIMIT  # seconds after which a process is ended
+PATIENCE = 12 * LIMIT  # seconds after which a process is ended
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mappi
         said, status = "", None
     finally:
         end(process)
-    seconds = time.perf_counter() - began
-    return Tried(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder))
+    seconds, limit = time.perf_counter() - began, time_limit(ranks * AT_ONCE[ranks] + 1)
+    return Tried(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder, limit))
 
 
 def _within(
@@ -90,7 +90,8 @@ def _within(
             continue
         number, started = record["number"], None
         case, folder = cases[number], root / f"inside-{ranks}" / str(number)
-        wrong = complaint(case, record["status"], record["said"], record["seconds"], folder)
+        limit = time_limit(ranks + 1)
+        wrong = complaint(case, record["status"], record["said"], record["seconds"], folder, limit)
         yield Tried(case, ranks, False, record["said"], record["seconds"], wrong), number
     if started is not None:
         yield Tried(cases[started], ranks, False, "", PATIENCE, "took the process down, or did not end"), started
