@@ -118,7 +118,7 @@ def test_eps_before_the_solve_is_of_the_median_node():
     """D_i/A_ii is h^2/2 at most nodes of the interval, and 1e6 times that in its soft quarter."""
     form = Form(1, 64, two_parts(0.75, 1e-6), 8.0)
     problem = form.problem(upper=0.3)._problem
-    assert _share_of_compliance(problem) == pytest.approx(problem.eps_share / 64**2 / 2, rel=1e-9)
+    assert _share_of_compliance(problem, "form:") == pytest.approx(problem.eps_share / 64**2 / 2, rel=1e-9)
 
 
 def test_eps_follows_changed_coefficients():
