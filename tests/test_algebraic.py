@@ -15,7 +15,7 @@ from fenicsx_obstacle.algebra.coarse import COARSEST, CoarseSystem
 from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete import hierarchy
-from fenicsx_obstacle.discrete.hierarchy import coarse_problems
+from fenicsx_obstacle.discrete.hierarchy import galerkin_systems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from tests.conftest import COMM, by_hand, slow_except
@@ -176,7 +176,7 @@ def test_other_elements_on_triangles(element):
 def levels_of(mesh, **data):
     """The problem of a scene, and its algebraic levels from the finest on."""
     context = SolverContext(Scene(mesh=mesh, **{"tension": 1, "lower": -1, **data}))
-    return context.problem, coarse_problems(context.problem)[::-1]
+    return context.problem, galerkin_systems(context.problem)[::-1]
 
 
 @pytest.mark.parametrize(("mesh", "dim"), [(lambda: interval(2000), 1), (lambda: square(60), 2), (lambda: cube(12), 3)])

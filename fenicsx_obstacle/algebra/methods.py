@@ -37,12 +37,10 @@ class Method:
     Attributes:
         solve: From its present state; takes `multigrid`.
         penalty: The penalty solve, or None.
-        share: Of the force that balances a step in time, the part that is the contact force: 1, or 1/2 with inertia.
     """
 
     solve: Callable[..., Outcome]
     penalty: PenaltySolve | None
-    share: float
     _force: Callable[[System], np.ndarray]
 
     @property
@@ -52,7 +50,7 @@ class Method:
 
     def pressure(self, problem: System) -> np.ndarray:
         """Contact pressure at owned points of I of the problem just solved (collective)."""
-        return self._force(problem) * self.share
+        return self._force(problem) * problem.share
 
 
 def method_of(problem: System, options: SolverOptions, *, known: float | None = None) -> Method:
@@ -66,19 +64,17 @@ def method_of(problem: System, options: SolverOptions, *, known: float | None = 
     Raises:
         InputError: For a bad eps.
     """
-    asked, share = options.method, problem.share
+    asked = options.method
     if asked == "vi":
         by_bounds = problem.nodal
         force = residual_pressure if by_bounds else penalty_pressure
-        return Method(_named(solve_vi if by_bounds else solve_augmented, asked), None, share, force)
+        return Method(_named(solve_vi if by_bounds else solve_augmented, asked), None, force)
     automatic = options.eps == "auto"
     eps = known if automatic and known is not None else penalty_parameter(problem, options)
     if not problem.constrained:
-        return Method(partial(solve_penalty, eps=1.0), None, share, penalty_pressure)
-    penalty = PenaltySolve(
-        eps, share, automatic=automatic, successive=asked == "successive", source=options.source
-    )  # fmt: skip
-    return Method(_named(penalty, asked), penalty, share, penalty_pressure)
+        return Method(partial(solve_penalty, eps=1.0), None, penalty_pressure)
+    penalty = PenaltySolve(eps, automatic=automatic, successive=asked == "successive", source=options.source)
+    return Method(_named(penalty, asked), penalty, penalty_pressure)
 
 
 def _named(solve: Callable[..., Outcome], asked: str) -> Callable[..., Outcome]:

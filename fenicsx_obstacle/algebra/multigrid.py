@@ -11,8 +11,6 @@ not fixed, minus those of the coarser one. So the active set changes diagonals o
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from petsc4py import PETSc
 
@@ -44,16 +42,19 @@ class Multigrid:
     Attributes:
         problem: The last.
         coarser: The multigrid of all but the last; None on the coarsest.
+        keeps_sizes: Whether a PC serves another active set; else it is made anew.
     """
+
+    keeps_sizes = True
 
     def __init__(self, problem: System, coarser: Multigrid | None):
         self.problem, self.coarser = problem, coarser
-        self._moves, self._force = problem.A.createVecs()  # 1 where a correction may move a node; what that meets
+        self._moves, self._row_sums = problem.A.createVecs()  # 1 where a correction may move a node; over those
         if coarser is not None:
             self._transfer = problem.transfer
             self._whole = self._transfer.P
             self.P = self._whole.duplicate()
-            self._carried = coarser._force.duplicate()
+            self._carried = coarser._row_sums.duplicate()
 
     def truncate(self, penalty_diagonal: np.ndarray) -> None:
         """Truncate the interpolation for a penalty diagonal at owned nodes, on this level and all coarser ones
@@ -64,7 +65,7 @@ class Multigrid:
         if self.coarser is None:
             return
         self._shift(penalty_diagonal)
-        self._whole.multTranspose(self._force, self._carried)
+        self._whole.multTranspose(self._row_sums, self._carried)
         self.coarser.truncate(self._coarse_penalty_diagonal())
         self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.P.diagonalScale(L=self._moves, R=self.coarser._moves)
@@ -76,17 +77,17 @@ class Multigrid:
         held = self._transfer.inject((self._moves.array_r == 0).astype(float)) > 0
         coarse._moves.array[:] = ~(held | coarse.problem.fixed)
         coarse._shift()
-        penalty_diagonal = np.maximum(self._carried.array_r - coarse._force.array_r, 0.0)
+        penalty_diagonal = np.maximum(self._carried.array_r - coarse._row_sums.array_r, 0.0)
         penalty_diagonal[held] = np.inf
         penalty_diagonal[coarse.problem.fixed] = 0.0
         return penalty_diagonal
 
     def _shift(self, penalty_diagonal: np.ndarray | None = None) -> None:
         """Compute the row sums of stiffness and penalty diagonal over nodes that are not fixed."""
-        self.problem.matrices.stiffness.mult(self._moves, self._force)
+        self.problem.matrices.stiffness.mult(self._moves, self._row_sums)
         if penalty_diagonal is not None:
-            np.add(self._force.array, penalty_diagonal, out=self._force.array, where=self._moves.array_r > 0)
-        self._force.pointwiseMult(self._force, self._moves)
+            np.add(self._row_sums.array, penalty_diagonal, out=self._row_sums.array, where=self._moves.array_r > 0)
+        self._row_sums.pointwiseMult(self._row_sums, self._moves)
 
     def install(self, pc: PETSc.PC) -> None:
         """Make a PC the cycle over all levels; options of `SMOOTHER` under its prefix say how."""
@@ -99,30 +100,8 @@ class Multigrid:
             smoother = pc.getMGSmoother(number) if number else pc.getMGCoarseSolve()
             smoother.setOperators(grid.problem.A)
 
-    @property
-    def keeps_sizes(self) -> bool:
-        return True
-
     def _grids(self) -> list[Multigrid]:
         return [*(self.coarser._grids() if self.coarser else []), self]
-
-
-class Holding(Protocol):
-    """A preconditioner of the matrix of a problem with a penalty diagonal at contact nodes."""
-
-    @property
-    def problem(self) -> System:
-        """The problem whose matrix is preconditioned."""
-
-    def truncate(self, penalty_diagonal: np.ndarray) -> None:
-        """Set the penalty diagonal at owned nodes; infinite entries fix a node (collective)."""
-
-    def install(self, pc: PETSc.PC) -> None:
-        """Make a PC this one."""
-
-    @property
-    def keeps_sizes(self) -> bool:
-        """Whether a PC serves another active set; else it is made anew."""
 
 
 class HeldRows:
@@ -132,7 +111,10 @@ class HeldRows:
 
     Attributes:
         problem: With a preconditioner.
+        keeps_sizes: As for `Multigrid`.
     """
+
+    keeps_sizes = False
 
     def __init__(self, problem: System):
         self.problem = problem
@@ -142,10 +124,6 @@ class HeldRows:
 
     def install(self, pc: PETSc.PC) -> None:
         pc.setType(self.problem.preconditioner["pc_type"])
-
-    @property
-    def keeps_sizes(self) -> bool:
-        return False
 
 
 class KeptLevels:
@@ -199,7 +177,7 @@ class OnInactive:
     The reduced system changes its size from step to step, multigrid does not: vectors are filled up with zeros.
     """
 
-    def __init__(self, snes: PETSc.SNES, multigrid: Holding, prefix: str):
+    def __init__(self, snes: PETSc.SNES, multigrid: Multigrid | HeldRows, prefix: str):
         self.snes, self.multigrid, self.prefix = snes, multigrid, prefix
         self.inner = self._make_inner()
         self.whole, self.answer = multigrid.problem.A.createVecs()

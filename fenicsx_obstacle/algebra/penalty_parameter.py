@@ -91,14 +91,12 @@ class PenaltySolve:
 
     Attributes:
         eps: With which each solve begins, in units of u/p. A solve does not change it.
-        share: Of a step in time, as for `Method`.
         automatic: Whether eps may be lowered. If not, a large penetration causes a warning.
         successive: As for `solve_penalty`.
         source: What messages call the problem.
     """
 
     eps: float
-    share: float
     automatic: bool
     successive: bool
     source: str
@@ -147,7 +145,7 @@ class PenaltySolve:
 
     def _once(self, problem: System, eps: float, tolerance: float, how: dict[str, Any]) -> Outcome:
         try:
-            found = solve_penalty(problem, eps * self.share, successive=self.successive, tolerance=tolerance, **how)
+            found = solve_penalty(problem, eps * problem.share, successive=self.successive, tolerance=tolerance, **how)
         except NotConverged as error:
             if problem.affine or not self.automatic or error.eps is None:
                 raise

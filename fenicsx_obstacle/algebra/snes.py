@@ -25,7 +25,7 @@ from fenicsx_obstacle.algebra.linear import (
     direct_first,
     user_has_set,
 )
-from fenicsx_obstacle.algebra.multigrid import HeldRows, Holding, KeptLevels, Multigrid, OnInactive
+from fenicsx_obstacle.algebra.multigrid import HeldRows, KeptLevels, Multigrid, OnInactive
 from fenicsx_obstacle.algebra.plausibility import violation
 from fenicsx_obstacle.algebra.stopping import MEANINGLESS, ON_THE_WAY, Step, Stopping, in_words
 from fenicsx_obstacle.algebra.system import System
@@ -101,7 +101,7 @@ def run(
     directly = multigrid is None and not (chosen or problem.preconditioner) and direct_first(problem.dofs)
     if direct or not problem.nodal or directly:
         linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
-    held: Holding | None = multigrid
+    held: Multigrid | HeldRows | None = multigrid
     if problem.preconditioner and not (penalised or chosen or linear is DIRECT):
         held = HeldRows(problem)
         # SNES VI reads the options again when the active set changes

@@ -63,9 +63,9 @@ def solve_vi(
     if problem.loose_without_contact:
         return require(_from_penalty(problem, how), problem, None, tolerance)
     if problem.affine or not problem.constrained or is_limited(problem, "vi"):
-        return require(_settled(problem, multigrid, how), problem, None, tolerance)
+        return require(_settled(problem, how, multigrid), problem, None, tolerance)
     start = problem.u
-    outcome = _settled(problem, multigrid, {**how, "patience": PATIENCE})
+    outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
     if not outcome.converged:
         problem.set_unknown(start)
         outcome = joined(outcome, _from_penalty(problem, how))
@@ -87,9 +87,9 @@ def _refuse_other_solvers(problem: System) -> None:
         )
 
 
-def _settled(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """All attempts, with the reference r at the obstacle that each node touches."""
-    outcome = _attempts(problem, multigrid, how)
+    outcome = _attempts(problem, how, multigrid)
     for _ in range(MAX_REFERENCE_UPDATES):
         if not outcome.converged:
             break
@@ -97,7 +97,7 @@ def _settled(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) 
             break
         if in_balance(outcome, how["tolerance"]):
             break
-        outcome = joined(outcome, _attempts(problem, multigrid, {**how, "least": 0, "before": outcome.active}))
+        outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
     return outcome
 
 
@@ -106,20 +106,20 @@ def _from_penalty(problem: System, how: dict[str, Any]) -> Outcome:
     linear has minima of its own; the penalty has the energy, which has none. A body that contact alone holds needs
     closed nodes from the first step on, and SNES VI opens those where its first residual pulls."""
     first = solve_penalty(problem, NEAR * soft_eps(problem), monitor=how["monitor"])
-    return joined(first, _settled(problem, None, how))
+    return joined(first, _settled(problem, how, None))
 
 
-def _attempts(problem: System, multigrid: Multigrid | None, how: dict[str, Any]) -> Outcome:
+def _attempts(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
     """PETSc's line search; where it fails, because round-off is all that is left, full steps from the same start."""
     start = problem.w.copy()
-    outcome = _attempt(problem, multigrid, how, VI)
+    outcome = _attempt(problem, how, multigrid, VI)
     if outcome.reason in LINE_SEARCH_FAILED:
         problem.w[:] = start  # PETSc looks for a local minimum then, with x as its work space
-        outcome = joined(outcome, _attempt(problem, multigrid, how, {**VI, "snes_linesearch_type": "basic"}))
+        outcome = joined(outcome, _attempt(problem, how, multigrid, {**VI, "snes_linesearch_type": "basic"}))
     return outcome
 
 
-def _attempt(problem: System, multigrid: Multigrid | None, how: dict[str, Any], options: Mapping[str, Any]) -> Outcome:
+def _attempt(problem: System, how: dict[str, Any], multigrid: Multigrid | None, options: Mapping[str, Any]) -> Outcome:
     x = problem.vector()
     lower, upper = x.duplicate(), x.duplicate()
     lower.array[:] = -INFINITE if problem.below is None else np.maximum(problem.below, -INFINITE)

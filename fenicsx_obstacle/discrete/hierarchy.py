@@ -84,13 +84,13 @@ def levels_of(problem: Problem, options: SolverOptions, *, on_meshes: bool = Fal
 
         return Levels.of([*coarse_vector_problems(problem), problem], multigrid=False)
     if not nested(problem.model.effects, problem.level.pair, options):
-        return Levels.of(chain(problem), multigrid=False)
+        return Levels.of(mesh_problems(problem), multigrid=False)
     own = problem.data.live  # on the caller's mesh and in the caller's space alone
-    found = [*coarse_problems(problem), problem] if own else hierarchy(problem, on_meshes=on_meshes)
+    found = [*galerkin_systems(problem), problem] if own else hierarchy(problem, on_meshes=on_meshes)
     return Levels.of(found, multigrid=True)
 
 
-def chain(problem: Problem) -> list[Problem]:
+def mesh_problems(problem: Problem) -> list[Problem]:
     """The problems from the coarsest mesh to this one; only this one without nested iteration (collective)."""
     problem.__dict__.pop("transfer", None)  # from a coarse problem without a mesh
     problems = [problem]
@@ -115,17 +115,17 @@ def hierarchy(problem: Problem, *, on_meshes: bool = False) -> list[System]:
     """
     algebraic = problem.constrained or PRECONDITIONER != "hypre"
     if on_meshes:
-        problems = chain(problem)
-        return [*(coarse_problems(problems[0]) if algebraic else []), *problems]
+        problems = mesh_problems(problem)
+        return [*(galerkin_systems(problems[0]) if algebraic else []), *problems]
     problems, level = [problem], problem.level
     if level.pair.has_p1_coarse_space:
         assert level.coarse is not None
         with suppress(InputError):  # data that only P2 resolves
             problems.insert(0, Problem(Data(problem.model, level.coarse, problem.data.moment)))
-    return [*coarse_problems(problems[0], algebraic=algebraic), *problems]
+    return [*galerkin_systems(problems[0], algebraic=algebraic), *problems]
 
 
-def coarse_problems(problem: Problem, *, algebraic: bool = True) -> list[System]:
+def galerkin_systems(problem: Problem, *, algebraic: bool = True) -> list[System]:
     """The levels below a problem with affine effects, the coarsest first (collective).
 
     Those of the meshes that its mesh was refined from, and below them algebraic ones. There are none for few unknowns,

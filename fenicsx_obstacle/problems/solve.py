@@ -109,8 +109,8 @@ def state_of(problem: Problem, method: Method) -> State:
     if problem.has_energy:
         x = problem.vector()
         energy = problem.energy(x, penalised=method.eps is not None, moving=False)
-        if method.eps is not None and method.share != 1.0:  # the problem's eps is that of a step
-            energy = (1 - method.share) * problem.energy(x, penalised=False, moving=False) + method.share * energy
+        if method.eps is not None and problem.share != 1.0:  # the problem's eps is that of a step
+            energy = (1 - problem.share) * problem.energy(x, penalised=False, moving=False) + problem.share * energy
         x.destroy()
     touching = problem.in_q((contact.lower | contact.upper).astype(float))
     return State(problem.solution(), p, problem.pressures(p * problem.thickness), touching, contact, energy)
