@@ -22,7 +22,7 @@ from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import NotConverged
 
 _log = logging.getLogger(__name__)
-FEW = 8  # Newton steps from a start that is said to be near, before coarser levels give one
+FEW = 5  # Newton steps from a start that is said to be near, before coarser levels give one
 
 
 @dataclass(frozen=True)
