@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,9 @@ def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[l
 
     with tempfile.TemporaryDirectory(prefix="obstacle-") as name:
         folder = Path(name)
-        np.savez(folder / "arrays.npz", **arrays)
+        packed = BytesIO()  # a ZipFile that cannot write says so once more when it goes
+        np.savez(packed, **arrays)
+        (folder / "arrays.npz").write_bytes(packed.getbuffer())
         (folder / "views.json").write_text(json.dumps([asdict(view) for view in views]))
         pictures = [folder / f"{number}.png" for number in range(len(views))]
         # VTK must not take itself for a rank of our MPI
