@@ -47,7 +47,7 @@ def test_the_calls_lead_to_the_penalty():
         sys.setprofile(None)
     names = [name.rpartition(".")[2] for name in wanted]
     files = [file_of(name) for name in wanted]
-    assert len(wanted) == 11
+    assert len(wanted) == 10
     assert any(contains(stack, list(zip(files, names, strict=True))) for stack in found)
 
 

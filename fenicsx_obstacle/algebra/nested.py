@@ -145,6 +145,10 @@ def solve_nested(
     return [*outcomes[:-1], replace(outcomes[-1], iterations=spent + outcomes[-1].iterations)]
 
 
+def as_it_is(_: float | None) -> None:
+    """A `start` for `solve_nested`: the present state of the finest system."""
+
+
 def _stiffness_of_contact(system: System, eps: float | None) -> np.ndarray:
     """What an obstacle adds to the diagonal at each point of I: D_i/eps, infinite without a penalty."""
     stiffness = np.inf if eps is None else 1.0 / eps

@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.methods import method_of
-from fenicsx_obstacle.algebra.nested import Levels, solve_nested
+from fenicsx_obstacle.algebra.nested import Levels, as_it_is, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import StepMonitor
@@ -112,7 +112,7 @@ class TimeStepper:
         """Solve for the present data: equilibria from coarser levels on, others from the last moment (collective)."""
         if self.moments.order == EQUILIBRIA and len(self._levels) > 1:
             return solve_nested(self._levels, self._method, monitor=self._monitor)
-        return solve_nested(self._levels[-1:], self._method, start=lambda _: None, monitor=self._monitor)
+        return solve_nested(self._levels[-1:], self._method, start=as_it_is, monitor=self._monitor)
 
     @property
     def state(self) -> State:

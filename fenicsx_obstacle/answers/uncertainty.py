@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from fenicsx_obstacle.algebra.nested import Levels, begin_from
+from fenicsx_obstacle.algebra.nested import Levels, as_it_is, begin_from
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import of_pair
@@ -155,17 +155,13 @@ def on_coarser_meshes(
             begin_from(problem, below)
         with warnings.catch_warnings():  # eps is that of the finest mesh, for which the user is warned
             warnings.simplefilter("ignore", PenetrationWarning)
-            state = solve(here, _scaled(options, eps, times), start=_as_it_is).state
+            state = solve(here, _scaled(options, eps, times), start=as_it_is).state
         found.append(quantities({
             "energy": state.energy, "penetration": state.contact.penetration, "report": report(problem, state),
             "contact": {"area": state.contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
         }))  # fmt: skip
         below = problem
     return found
-
-
-def _as_it_is(_: float | None) -> None:
-    """The present state is the start."""
 
 
 def coarser_scenes(scene: Scene, options: SolverOptions, eps: float | None) -> list[tuple[Scene, SolverOptions]]:
