@@ -25,6 +25,8 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from fenicsx_obstacle.launcher import environment, mpirun
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -100,11 +102,17 @@ def _stands(test: str) -> bool:
 
 
 def seen(one: Mutant, scratch: Path) -> tuple[str, str]:
-    """'found', 'missed' or 'hangs', and the test that failed."""
+    """'found', 'missed' or 'hangs', and the test that failed.
+
+    Raises:
+        RuntimeError: If no test ran.
+    """
     file = scratch / one.path
     right = file.read_text()
     file.write_text(right.replace(one.old, one.new))
-    command = [sys.executable, "-m", "pytest", "-x", "-m", "not slow", *one.tests]
+    named = any("::" in test for test in one.tests)  # such a test runs, slow or not
+    quick = () if named else ("-m", "not slow")
+    command = [sys.executable, "-m", "pytest", "-x", *quick, *one.tests]
     if one.ranks > 1:
         command = [*mpirun(one.ranks), *command]
     changed = {**environment(), "PYTHONPATH": str(scratch), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -116,6 +124,8 @@ def seen(one: Mutant, scratch: Path) -> tuple[str, str]:
         return "hangs", ""
     finally:
         file.write_text(right)
+    if done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED:
+        raise RuntimeError(f"{one.number}: no test ran of {', '.join(one.tests)}")
     if done.returncode == 0:
         return "missed", ""
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]

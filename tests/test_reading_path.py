@@ -17,6 +17,7 @@ from fenicsx_obstacle.algebra.options import EpsFormula
 from fenicsx_obstacle.algebra.solve_system import _system
 from fenicsx_obstacle.checkout import ROOT
 from tests.conftest import COMM
+from tests.mutants import misplaced, mutants
 
 
 def documented():
@@ -98,3 +99,9 @@ def test_solvers_take_eps_as_a_number(eps):
     system = _system(A, np.ones(2), MPI.COMM_SELF, lower=None, upper=0.1, weights=None, fixed=None, given=0.0)
     with pytest.raises((TypeError, ValueError)):
         solve_penalty(system, eps)
+
+
+@pytest.mark.serial
+def test_mutants_are_in_their_places():
+    """tests/mutants.py: every line that it makes wrong stands in the package once."""
+    assert misplaced(mutants()) == []

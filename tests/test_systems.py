@@ -13,7 +13,9 @@ from petsc4py import PETSc
 from scipy.optimize import lsq_linear
 
 from fenicsx_obstacle import InputError, solve_system
+from fenicsx_obstacle.algebra.data_scales import determined, stiffness_of
 from fenicsx_obstacle.algebra.linear import Collapsed, attempt, check_diagonal
+from fenicsx_obstacle.algebra.solve_system import MatrixSystem
 from tests.conftest import CLEAN, COMM
 
 MANY = {1: 1000, 2: 40}.get(COMM.size, 20)  # ranks wait for each other
@@ -244,3 +246,20 @@ def test_without_dolfinx(folder):
     """petsc4py, mpi4py and NumPy are enough."""
     done = subprocess.run([sys.executable, "-c", WITHOUT_DOLFINX], env=CLEAN, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("support", "so"), [(1.0, True), (1e-10, True), (1e-14, False)])
+def test_the_data_determine_u_where_its_round_off_is_small_against_their_forces(support, so):
+    """A chain of 20 springs under a load of 1 at each node, held at its end by a spring that is so soft that u is
+    20/support: round-off of machine epsilon times 40 u is above 1 % of the load from a support of 9e-13 on."""
+    n = 21
+    A = np.diag(np.r_[1.0, np.full(n - 2, 2.0), 1.0]) - np.eye(n, k=1) - np.eye(n, k=-1)
+    A[:2, :2] += (support - 1) * np.array([[1, -1], [-1, 1]])
+    u = np.r_[0.0, np.linalg.solve(A[1:, 1:], np.ones(n - 1))]
+    first, last = owned(n)
+    fixed = np.arange(first, last) == 0
+    system = MatrixSystem(distributed(A), np.ones(last - first), weights=np.ones(last - first), fixed=fixed,
+                          given=np.zeros(last - first), lower=None, upper=None)  # fmt: skip
+    system.set_reference(u[first:last])
+    nowhere = np.zeros(last - first, dtype=np.int8)
+    assert determined(system, nowhere, stiffness_of(system, exact_bounds=True), 0.0) is so
