@@ -6,6 +6,7 @@ linear problem of (3.4)* on the present active set.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
 from typing import Any
@@ -112,16 +113,33 @@ def diagonal_of(problem: System) -> np.ndarray:
 
 
 def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    """All attempts, with the reference r at the obstacle that each node touches."""
-    outcome = _attempts(problem, how, multigrid)
+    """All attempts; sets also repeat if the reference r of w is not the obstacle in contact."""
+    limited = is_limited(problem, "penalty")
+    return settled(problem, how, lambda given: _attempts(problem, given, multigrid),
+                   lambda outcome: outcome.reason == TOO_MANY and limited)  # fmt: skip
+
+
+def settled(
+    problem: System,
+    how: dict[str, Any],
+    attempts: Callable[[dict[str, Any]], Outcome],
+    is_final: Callable[[Outcome], bool],
+) -> Outcome:
+    """Attempts, with the reference r at the obstacle that each node touches (collective).
+
+    Args:
+        problem: Holds the start, then the last state.
+        how: Arguments of `Stopping`.
+        attempts: Solves from the present state, for such arguments.
+        is_final: Whether another reference is not tried after this outcome.
+    """
+    outcome = attempts(how)
     for _ in range(MAX_REFERENCE_UPDATES):
-        # sets also repeat if the reference r of w is not the obstacle in contact
-        final = outcome.reason == TOO_MANY and is_limited(problem, "penalty")
-        if final or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+        if is_final(outcome) or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
             break
-        if in_balance(outcome, how["tolerance"]):
+        if _in_balance(outcome, how["tolerance"]):
             break
-        outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
+        outcome = joined(outcome, attempts({**how, "least": 0, "before": outcome.active}))
     return outcome
 
 
@@ -185,7 +203,7 @@ def _attempt(
     return run(problem, "penalty", options, stopping, objective=objective, multigrid=multigrid)
 
 
-def in_balance(outcome: Outcome, tolerance: float) -> bool:
+def _in_balance(outcome: Outcome, tolerance: float) -> bool:
     """Whether a state is in balance to the tolerance, not only to the round-off of w: then it is so with another
     reference r, since u has not moved."""
     last = outcome.history[-1]

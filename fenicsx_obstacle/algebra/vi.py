@@ -9,15 +9,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.multigrid import Multigrid
-from fenicsx_obstacle.algebra.newton import (
-    MAX_REFERENCE_UPDATES,
-    NEWTON,
-    PATIENCE,
-    in_balance,
-    joined,
-    soft_eps,
-    solve_penalty,
-)
+from fenicsx_obstacle.algebra.newton import NEWTON, PATIENCE, joined, settled, soft_eps, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor, Stopping
 from fenicsx_obstacle.algebra.system import System
@@ -88,17 +80,9 @@ def _refuse_other_solvers(problem: System) -> None:
 
 
 def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:
-    """All attempts, with the reference r at the obstacle that each node touches."""
-    outcome = _attempts(problem, how, multigrid)
-    for _ in range(MAX_REFERENCE_UPDATES):
-        if not outcome.converged:
-            break
-        if not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
-            break
-        if in_balance(outcome, how["tolerance"]):
-            break
-        outcome = joined(outcome, _attempts(problem, {**how, "least": 0, "before": outcome.active}, multigrid))
-    return outcome
+    """All attempts; another reference r does not help where one fails."""
+    return settled(problem, how, lambda given: _attempts(problem, given, multigrid),
+                   lambda outcome: not outcome.converged)  # fmt: skip
 
 
 def _from_penalty(problem: System, how: dict[str, Any]) -> Outcome:
