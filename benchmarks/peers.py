@@ -28,7 +28,7 @@ from dolfinx import fem, mesh
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle import ObstacleProblem, penalty, releases
+from fenicsx_obstacle import ObstacleProblem, penalty, releases, solve_system
 from fenicsx_obstacle.algebra.releases import AMG
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.discrete.levels import of_mesh
@@ -252,14 +252,34 @@ def newton(case: Case, u: fem.Function, F: Any) -> Result:
     return iterated(snes, x)
 
 
-def scikit_fem(case: Case) -> Result:
-    """scikit-fem: primal-dual active sets, each system by SciPy's direct solver."""
+def of_scikit_fem(case: Case) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Stiffness and weights of linear elements by scikit-fem, and the nodes, shape (nodes, 2)."""
     import skfem
-    from skfem.models.poisson import laplace
+    from skfem.models.poisson import laplace, unit_load
 
     points = case.V.tabulate_dof_coordinates()[:, :2]
     basis = skfem.Basis(skfem.MeshTri(points.T, releases.cell_dofs(case.V).reshape(-1, 3).T), skfem.ElementTriP1())
-    A = laplace.assemble(basis)
+    return laplace.assemble(basis), unit_load.assemble(basis), points
+
+
+def matrices_of_scikit_fem(method: str, eps: float | str = "auto") -> Callable[[Case], Result]:
+    """`solve_system` of this package with matrices of scikit-fem."""
+
+    def solve(case: Case) -> Result:
+        A, weights, points = of_scikit_fem(case)
+        found = solve_system(A, 0.0, lower=case.psi.x.array, weights=weights, fixed=case.boundary,
+                             given=np.where(np.isin(np.arange(len(points)), case.boundary), case.g.x.array, 0.0),
+                             points=points, method=method, eps=eps)  # fmt: skip
+        return Result(found.u, found.iterations)
+
+    return solve
+
+
+def scikit_fem(case: Case) -> Result:
+    """scikit-fem: primal-dual active sets, each system by SciPy's direct solver."""
+    import skfem
+
+    A, _, _ = of_scikit_fem(case)
     u, psi = case.cold_start(), case.psi.x.array
     free = np.ones(len(u), dtype=bool)
     free[case.boundary] = False
@@ -283,6 +303,9 @@ CODES: dict[str, Callable[[Case], Result]] = {
     "TAO gpcg": tao("gpcg"),
     "one added line, eps = 1e-6, BoomerAMG, cold": one_added_line(1e-6),
     "raw penalty, factor 1e6, BoomerAMG, cold": raw_penalty(1e6),
+    "scikit-fem, solve_system, eps = auto": matrices_of_scikit_fem("penalty"),
+    "scikit-fem, solve_system, eps = 1e-8": matrices_of_scikit_fem("penalty", 1e-8),
+    "scikit-fem, solve_system, SNES VI": matrices_of_scikit_fem("vi"),
     "scikit-fem, active sets, direct solver": scikit_fem,
 }
 
@@ -298,7 +321,7 @@ def main() -> None:
     options = parser.parse_args()
     codes = dict(CODES)
     if find_spec("skfem") is None:
-        del codes["scikit-fem, active sets, direct solver"]
+        codes = {name: code for name, code in codes.items() if not name.startswith("scikit-fem")}
         print("scikit-fem is not installed")
     rows: list[dict[str, Any]] = []
     print(f"{'':44} {'unknowns':>9} {'steps':>6} {'s':>8} {'units':>7} {'u - u_VI':>9}")
