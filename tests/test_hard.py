@@ -13,13 +13,13 @@ from fenicsx_obstacle import InputError, solve
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.cases import FOLDER, Case, case, cases, named
 from tests.hard.invariants import beside_inequality, falling, of_one, same, violated
 from tests.hard.judge import METHODS, judge, take
 from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT
+from tests.hard.solved import ReferenceProblem
 from tests.hard.suite import rows_of
 from tests.hard.units import Units, all_units
 

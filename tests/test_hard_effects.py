@@ -10,13 +10,13 @@ from mpi4py import MPI
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.effects.effect import find, known
-from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from tests.conftest import COMM, membrane, slow_except
 from tests.hard.cases import case, cases
 from tests.hard.invariants import beside_inequality, of_one, same, violated
 from tests.hard.judge import judge, take
 from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import RIGHT
+from tests.hard.solved import ReferenceProblem
 from tests.hard.units import Units, all_units
 
 FEW = (1e-2, 1e-6, 1e-12)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenicsx_obstacle.algebra.data_scales import EPSILON
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.solved import EPSILON
 from fenicsx_obstacle.parallel import largest
 
 

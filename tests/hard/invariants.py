@@ -22,8 +22,8 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.estimation.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
 from fenicsx_obstacle.parallel import largest, total
+from tests.hard.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
 
 
 @dataclass(frozen=True)

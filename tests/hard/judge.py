@@ -17,11 +17,11 @@ from fenicsx_obstacle.algebra.plausibility import NO_SOLUTION
 from fenicsx_obstacle.algebra.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.estimation.solved import EPSILON, ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
+from tests.hard.solved import EPSILON, ReferenceProblem, Solved
 from tests.hard.units import Units, all_units
 
 EPS: tuple[float | str, ...] = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, "auto")

@@ -17,11 +17,11 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.time_discretization import INERTIA
 from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.estimation.solved import ReferenceProblem, Solved
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.invariants import Finding, of_one, violated
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
+from tests.hard.solved import ReferenceProblem, Solved
 
 
 def judge_moving(

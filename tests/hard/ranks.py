@@ -14,13 +14,13 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.solved import ReferenceProblem
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors, gathered
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard import bodies
 from tests.hard.cases import case
 from tests.hard.invariants import Finding, energy_round_off
 from tests.hard.judge import METHODS, TRIAL, take
+from tests.hard.solved import ReferenceProblem
 
 Fields = dict[str, np.ndarray]
 GRID = 1e-6  # of the extent: places nearer than this are one

@@ -12,8 +12,8 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
-from fenicsx_obstacle.estimation import singular_values
 from fenicsx_obstacle.forms.pairs import Pair
+from tests.theory import singular_values
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0
 ZERO = 1e-10  # singular values below, relative to the largest, belong to the kernel
