@@ -14,8 +14,6 @@ from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
-from fenicsx_obstacle.estimation.flux_trees import TreeEquilibration
-from fenicsx_obstacle.estimation.flux_triangles import TriangleEquilibration
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
@@ -31,8 +29,7 @@ class ElementP1(Element):
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
-        equilibration = TriangleEquilibration if simplices.dim == 2 else TreeEquilibration
-        super().__init__(equilibration(simplices, tension_of_state(problem, simplices)))
+        super().__init__(EquilibrationP1(simplices, tension_of_state(problem, simplices)))
         patches, dim, cells = self.equilibration.patches, simplices.dim, len(simplices.area)
         self.obstacles = [
             ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles

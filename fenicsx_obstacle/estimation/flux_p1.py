@@ -6,9 +6,8 @@ rho come from its residual alone, eps-free, and a flux sigma in RT0 with continu
     div sigma = -(f_0 + mean lambda - mean nu + mean rho)   in each cell, f_0 the mean of the load,
 
 is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
-RT0 interpolant of phi_i mu grad u_h. (Braess and Schoeberl 2008 for equations; the interpolant in place of phi_i mu
-grad u_h itself keeps the flux near on irregular meshes.) `flux_triangles` solves
-the patches of triangles, `flux_trees` those of intervals and tetrahedra.
+RT0 interpolant of phi_i mu grad u_h (`patch_flux`; Braess and Schoeberl 2008 for equations; the interpolant in place of
+phi_i mu grad u_h itself keeps the flux near on irregular meshes).
 
 Of the contact force at a vertex only its sum over the patch is needed. Where the obstacle falls off steeply the force
 is put into those cells of the patch in which u is near it: the error bound has force times distance.
@@ -16,7 +15,6 @@ is put into those cells of the patch in which u is near it: the error bound has 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +25,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
 from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, BoundaryObstacles
 from fenicsx_obstacle.estimation.cell_data import (
     Load,
@@ -37,6 +36,7 @@ from fenicsx_obstacle.estimation.cell_data import (
     tension_of,
 )
 from fenicsx_obstacle.estimation.part_forces import part_forces
+from fenicsx_obstacle.estimation.patch_flux import PatchFlux
 from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
@@ -78,7 +78,7 @@ class FluxP1:
     contact: tuple[np.ndarray, ...] = ()
 
 
-class EquilibrationP1(ABC):
+class EquilibrationP1:
     """Equilibrated flux and multipliers; parts that depend on mesh and data only are computed once.
 
     Attributes:
@@ -96,15 +96,15 @@ class EquilibrationP1(ABC):
         unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
-    def __init__(self, simplices: Simplices, patches: Patches, of_state: np.ndarray | None):
-        """Sample the load (collective).
+    def __init__(self, simplices: Simplices, of_state: np.ndarray | None):
+        """Sample the load, sort the corners (collective).
 
         Args:
             simplices: The owned cells.
-            patches: Their corners around the vertices.
             of_state: Tension in each cell where it depends on u.
         """
-        self.simplices, self.patches, data = simplices, patches, simplices.data
+        data, patches = simplices.data, Patches(simplices)
+        self.simplices, self.patches = simplices, patches
         self.level, corners = data.level, simplices.dim + 1
         middle = np.full((1, corners), 1 / corners)
         rows, tension = matrix_of(data), tension_of(data)
@@ -137,6 +137,10 @@ class EquilibrationP1(ABC):
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:
             around = patches.gather(np.repeat(stiff[:, None].astype(float), corners, axis=1))[0]
             self._stiff = patches.along(patches.smallest(around)[patches.vertex] > 0)
+        if simplices.radius is not None and simplices.dim == 2:
+            self._patch_flux: PatchFlux = AxialPatchFlux(simplices, patches, self.parts, self.mu)
+        else:
+            self._patch_flux = PatchFlux(simplices, patches, self.parts, self.weighted)
         self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
         self.missing = np.zeros(patches.owned)
         if self.load.pieces is not None:
@@ -168,11 +172,9 @@ class EquilibrationP1(ABC):
         """The solver's tension times one vector per cell, shape (d, cells)."""
         return gradient * self.pull[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
 
-    def weighted(self, vectors: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
-        """Vectors of shape (d, cells, ...) divided by the tension, in which norm fluxes are near their targets."""
-        if self.matrix is None:
-            return vectors / self.pull[cells].reshape(-1, *(1,) * (vectors.ndim - 2))
-        return _times(self._inverse[cells], vectors)
+    def weighted(self, vectors: np.ndarray) -> np.ndarray:
+        """One vector per cell, shape (d, cells), divided by the tension: in this norm fluxes are near their targets."""
+        return vectors / self.pull if self.matrix is None else _times(self._inverse, vectors)
 
     def flux(
         self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
@@ -216,7 +218,7 @@ class EquilibrationP1(ABC):
         forces -= pull
         forces *= patches.area
         drops += forces
-        normal, incompatible = self._on_patches(drops, beta, force)
+        normal, incompatible = self._patch_flux.nearest(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
             normal=normal, incompatible=incompatible, forces=forces_at_most, averaged=averaged, force=given_force,
@@ -243,21 +245,6 @@ class EquilibrationP1(ABC):
         spread = np.where(self._stiff, even, forces)
         changed = patches.scatter(spread - forces)[0]
         return around + spread, changed.sum(axis=1) / self.simplices.area
-
-    @abstractmethod
-    def _on_patches(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
-        """Sum of the fluxes on the patches (collective).
-
-        Args:
-            drops: What is to leave each corner less what flows out of it, with the sign changed: -int div sigma^a over
-                its cell.
-            beta: Fluxes of the targets phi_a mu grad u_h out of each cell, through the facet opposite to each of its
-                vertices if that has the vertex a: the same for all a, shape (cells, d + 1).
-            force: What flows out through the facets of `parts` besides, by vertices of the cell; `drops` contain it.
-
-        Returns:
-            The fluxes out of cells, and what patches of free vertices leave over, as `FluxP1` has them.
-        """
 
     def _multipliers(
         self, residual: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray

@@ -23,10 +23,11 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.estimation.flux_p1 import NEAR
+from fenicsx_obstacle.estimation.patch_systems import PatchSystems
+from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
 from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
-from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import largest
 
 
@@ -79,7 +80,7 @@ class EquilibrationP2:
             simplices, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
         )
         self.missing = self.summed(against_nodes(self.load.missing))[: self.level.owned]
-        self.patches = VertexPatches(simplices)
+        self.patches = Patches(simplices)
         self._given = np.zeros(len(fem.Function(self.level.V).x.array), dtype=bool)
         self._given[data.fixed[0]] = True
         weights = self.summed(np.repeat(simplices.area[:, None] / 3, 3, axis=1), middles=True)
@@ -98,29 +99,23 @@ class EquilibrationP2:
         self._mu_products = self.simplices.area[:, None, None] * np.einsum("cp,p,pjk->cjk", mu, weights, products)
 
     def _prepare_patches(self) -> None:
-        """Metric of each corner, and the matrices of the patches."""
-        simplices = self.simplices
-        x = simplices.x
-        forms = []
-        self._metrics = []
-        for i in range(3):
-            to_b, to_c = x[:, (i + 1) % 3] - x[:, i], x[:, (i + 2) % 3] - x[:, i]
-            self._metrics.append(metric(to_b, to_c, simplices.area, self.mu))
-            forms.append(np.einsum("kc,kuv->cuv", self._metrics[-1], FORMS))
-        form = np.stack(forms, axis=1)  # cells, corners, 3, 3
-        pairs = [(u, v) for u in range(3) for v in range(u, 3)]
-        gathered = self.patches.gather(*(form[:, :, u, v] for u, v in pairs))
-        self._forms = np.empty((3, 3, gathered.shape[1]))
-        for (u, v), values in zip(pairs, gathered, strict=True):
-            self._forms[u, v] = self._forms[v, u] = values
-        lengths = self.patches.sums(np.ones(len(self.patches.area))).astype(np.int64)
-        starts = np.array([step.start for step in self.patches.steps])
-        self._groups = []
-        for length in np.unique(lengths):
-            for closed in (True, False):
-                patches = np.flatnonzero((lengths == length) & (self.patches.closed == closed))
-                if len(patches):
-                    self._groups.append((patches, starts[:length][None] + patches[:, None], closed))
+        """Metric of each corner, and the systems of the patches (collective)."""
+        simplices, patches, x = self.simplices, self.patches, self.simplices.x
+        self._metrics = [
+            metric(x[:, (i + 1) % 3] - x[:, i], x[:, (i + 2) % 3] - x[:, i], simplices.area, self.mu) for i in range(3)
+        ]
+        form = np.stack([np.einsum("kc,kuv->cuv", one, FORMS) for one in self._metrics], axis=1)
+        entries = {(u, v): patches.gather(form[:, :, u, v])[0] for u in range(3) for v in range(u, 3)}
+        self._of_first = np.stack([entries[0, u] for u in range(3)])
+        # the circulation around the vertex, and the moments on the edges through which it enters and leaves
+        edges, patch, count = patches.facets(simplices)
+        around = np.arange(len(patches.vertex))
+        numbers = np.column_stack([patches.patch, len(around) + edges[:, 1], len(around) + edges[:, 0]])
+        zero = np.zeros(len(around) + count, dtype=bool)
+        zero[patches.patch[patches.free_boundary.any(axis=1)]] = True
+        zero[len(around) + edges[patches.free_boundary]] = True
+        products = ((u, v, values) for (u, v), values in entries.items())
+        self._systems = PatchSystems(numbers, np.concatenate([around, patch]), zero, products)
 
     def summed(self, values: np.ndarray, *, middles: bool = False) -> np.ndarray:
         """Sums over the cells around each local node of P2, from values (cells, 6), or (cells, 3) at middles
@@ -160,11 +155,12 @@ class EquilibrationP2:
         R = K - pushes  # int div sigma^a psi_j
         pulls = self._pulls(u, gradient, K, R, drops)
         drops, *pulls = patches.gather(drops, *pulls)
-        before, after = patches.walk(drops)
-        round_, entering, leaving = self._solved(before, after, np.array(pulls))
+        fluxes, left_over = patches.walk(drops)
+        before, after = -fluxes[:, 1], fluxes[:, 0]
+        round_, entering, leaving = self._systems.solve(-np.array(pulls) - self._of_first * before)
         parts = patches.scatter(before + round_, after + round_, entering, leaving)
         forces = largest(self.level.comm, np.maximum(np.abs(K), np.abs(self.load.moments)))
-        return FluxP2(lower, upper, rest, *self._joined(R, *parts), patches.left_over(after), forces)
+        return FluxP2(lower, upper, rest, *self._joined(R, *parts), left_over, forces)
 
     def gradients(self, u: np.ndarray) -> np.ndarray:
         """grad u_h at the vertices of each cell, shape (2, cells, 3)."""
@@ -240,40 +236,6 @@ class EquilibrationP2:
             found.append(np.einsum("kc,kuj,jc->uc", self._metrics[i], PULLS, e))
         stacked = np.stack(found, axis=2)  # unknowns, cells, corners
         return [stacked[k] for k in range(3)]
-
-    def _solved(
-        self, before: np.ndarray, after: np.ndarray, pulls: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The circulation around each vertex, and the moments on its edges, along the patches (local)."""
-        round_, entering, leaving = (np.zeros_like(before) for _ in range(3))
-        pulls = pulls + self._forms[:, 0] * before
-        for patches, places, closed in self._groups:
-            count, length = places.shape
-            size = 1 + length + (not closed)
-            A, b = np.zeros((count, size, size)), np.zeros((count, size))
-            unknowns = []
-            for k in range(length):
-                entry, exit_ = ((k - 1) % length, k) if closed else (k, k + 1)
-                unknowns.append((0, 1 + entry, 1 + exit_))
-                for u, row in enumerate(unknowns[-1]):
-                    b[:, row] -= pulls[u, places[:, k]]
-                    for v, column in enumerate(unknowns[-1]):
-                        A[:, row, column] += self._forms[u, v, places[:, k]]
-            if not closed:
-                # nothing leaves through the free boundary
-                last = after[places[:, -1]]
-                for free, edge, value in (
-                    (~self.patches.exit_held[patches], size - 1, -last),
-                    (~self.patches.entry_held[patches], 1, 0.0 * last),
-                ):  # fmt: skip
-                    for row, right in ((0, value), (edge, 0.0 * value)):
-                        A[free, row], b[free, row] = 0.0, right[free]
-                        A[free, row, row] = 1.0
-            x = np.linalg.solve(A, b[:, :, None])[:, :, 0]
-            for k, (_, entry, exit_) in enumerate(unknowns):
-                at = places[:, k]
-                round_[at], entering[at], leaving[at] = x[:, 0], x[:, entry], x[:, exit_]
-        return round_, entering, leaving
 
     def _joined(
         self, R: np.ndarray, before: np.ndarray, after: np.ndarray, entering: np.ndarray, leaving: np.ndarray

@@ -16,6 +16,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import quadratics
@@ -38,7 +39,6 @@ from fenicsx_obstacle.estimation.triangle_lattice import (
     nodes_of,
     of_nodes,
 )
-from fenicsx_obstacle.estimation.vertex_patches import VertexPatches
 from fenicsx_obstacle.parallel import largest as largest_of
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import (
@@ -136,7 +136,7 @@ class LatticeObstacle:
         unbounded: Whether the obstacle times sign may be +infinity in each cell.
     """
 
-    def __init__(self, simplices: Simplices, patches: VertexPatches, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, patches: Patches, sign: float, field: Field, known: Range):
         """Store the obstacle and its bounds (collective).
 
         Args:

@@ -1,9 +1,10 @@
 """The cells around each vertex, on the rank that owns the vertex, whatever ranks the cells are on.
 
-A corner is a vertex of an owned cell. The corners of a vertex form patches: cells that are next to each other across
-facets with that vertex. Patches end at the boundary, and where u is given on facets inside the domain. Values travel
-between a corner's cell and its patch by one exchange over all ranks; everything that depends on the mesh alone is found
-once.
+A corner is a vertex a of an owned cell with the d others, of a triangle counter-clockwise, of a tetrahedron so that
+(a, b, c, d) has a positive determinant. It has d facets with a, each opposite to one of the others. The corners of a
+vertex form patches: cells that are next to each other across facets with that vertex. Patches end at the boundary, and
+where u is given on facets inside the domain. Values travel between a corner's cell and its patch by one exchange over
+all ranks; everything that depends on the mesh alone is found once.
 """
 
 from __future__ import annotations
@@ -11,28 +12,30 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.parallel import largest
+
+# the other vertices of a cell after each one
+OTHERS = {1: ((1,), (0,)), 2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
 
 
 class Patches:
-    """The corners of all owned vertices, patch by patch; `VertexPatches` and `TreePatches` say in which order.
+    """The corners of all owned vertices, in arrays ordered by depth in the trees of the patches.
 
     Attributes:
         held: Whether u is given on the side opposite to each vertex, shape (owned cells, vertices).
         free: Whether u is not given at an owned vertex.
+        free_boundary: Whether a facet with the vertex is on the boundary and u is not given on it, shape (corners, d).
         area: The share of the corner in its cell, |T|/(d + 1).
         mass: int phi_i at owned vertices.
+        patch: The patch of each corner.
         vertex: Owned dof of each patch.
     """
 
-    area: np.ndarray
-    mass: np.ndarray
-    vertex: np.ndarray
-    _order: np.ndarray
-    _patch: np.ndarray  # of each corner
-
     def __init__(self, simplices: Simplices):
-        """See where u is given, and which rank has which vertex (collective)."""
+        """See where u is given, which rank has which vertex, and find the trees (collective)."""
         data, dofs = simplices.data, simplices.dofs
         self.comm, self.owned, self._corners = data.level.comm, data.level.owned, dofs.shape[1]
         is_held = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
@@ -43,7 +46,6 @@ class Patches:
         fixed = data.fixed[0]
         self.free[fixed[fixed < self.owned]] = False
         index_map = data.level.V.dofmap.index_map
-        self._vertices = index_map.size_global
         self._number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(
             dofs.shape
         )
@@ -55,9 +57,10 @@ class Patches:
             self._send = np.argsort(owner, kind="stable")
             self._sent = np.bincount(owner, minlength=self.comm.size)
             self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
-
-    def _weigh(self, simplices: Simplices) -> None:
-        """Find `area` and `mass` once the order is known (collective)."""
+        sides = self._sides(simplices)
+        self._trees = PatchTrees(sides, self.owned)
+        self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
+        self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
         share = simplices.area / self._corners
         self.area = self.gather(np.repeat(share[:, None], self._corners, axis=1))[0]
         self.mass = self.at_vertices(self.area)
@@ -93,23 +96,23 @@ class Patches:
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums over the corners of each patch (local)."""
-        return np.bincount(self._patch, weights=values, minlength=len(self.vertex))
+        return np.bincount(self.patch, weights=values, minlength=len(self.vertex))
 
     def largest(self, values: np.ndarray) -> np.ndarray:
         """The largest of the values around each owned vertex, 0 if that is more (local)."""
         found = np.zeros(self.owned)
-        np.maximum.at(found, self.vertex[self._patch], values)
+        np.maximum.at(found, self.vertex[self.patch], values)
         return found
 
     def smallest(self, values: np.ndarray) -> np.ndarray:
         """The smallest value over the corners of each owned vertex, infinite without one (local)."""
         found = np.full(self.owned, np.inf)
-        np.minimum.at(found, self.vertex[self._patch], values)
+        np.minimum.at(found, self.vertex[self.patch], values)
         return found
 
     def along(self, values: np.ndarray) -> np.ndarray:
         """One value for each patch at all of its corners (local)."""
-        return values[self._patch]
+        return values[self.patch]
 
     def _to_owners(self, *values: np.ndarray) -> list[np.ndarray]:
         """Values at corners, each of shape (cells, vertices), in the order in which owners get them (collective)."""
@@ -118,16 +121,6 @@ class Patches:
         rows = np.stack(values, axis=2).reshape(-1, len(values))[self._send]
         return list(self._exchange(rows, self._sent, self._received).T)
 
-    def _at_owners(self, corners: np.ndarray) -> np.ndarray:
-        """For each corner a corner of the same vertex, cell by cell, or -1: both by their places in the order in which
-        owners get them (collective)."""
-        if self.comm.size == 1:
-            return corners
-        place = np.empty(len(corners), dtype=np.int64)
-        place[self._send] = np.arange(len(corners)) - np.repeat(np.cumsum(self._sent) - self._sent, self._sent)
-        found = self._to_owners(np.where(corners >= 0, place[corners], -1).reshape(-1, self._corners))[0]
-        return np.where(found >= 0, found + np.repeat(np.cumsum(self._received) - self._received, self._received), -1)
-
     def _exchange(self, rows: np.ndarray, sent: np.ndarray, received: np.ndarray) -> np.ndarray:
         """Send rows in the order of their ranks; returns the received rows in the order of ranks (collective)."""
         kind, width = (MPI.DOUBLE if rows.dtype == np.float64 else MPI.INT64_T), rows.shape[1]
@@ -135,3 +128,96 @@ class Patches:
         send = [np.ascontiguousarray(rows), (sent * width).tolist(), None, kind]
         self.comm.Alltoallv(send, [out, (received * width).tolist(), None, kind])
         return out
+
+    def _sides(self, simplices: Simplices) -> Sides:
+        """Pair the facets of the corners of each vertex (collective)."""
+        dim, mesh = simplices.dim, simplices.data.level.mesh
+        others, index_map = np.array(OTHERS[dim]), mesh.topology.index_map(dim - 1)
+        facets = np.asarray(index_map.local_to_global(simplices.facets.astype(np.int32).ravel()), dtype=np.int64)
+        facets = facets.reshape(simplices.facets.shape)
+        keys = []
+        for j in range(dim):
+            facet, key = facets[:, others[:, j]], np.zeros(facets.shape, dtype=np.int64)
+            for k in range(dim):  # which of the vertices of the facet this is
+                if k != j:
+                    key += self._number[:, others[:, k]] < self._number
+            keys.append(facet * dim + key)
+        held = [self.held[:, others[:, j]] for j in range(dim)]
+        vertex, *found = self._to_owners(self._number, *keys, *(part.astype(np.int64) for part in held))
+        key, is_held = np.stack(found[:dim], axis=1).ravel(), np.stack(found[dim:], axis=1).ravel() > 0
+        beside = _pairs(*dense(key, dim * index_map.size_global))
+        # the ranks of its two cells need not both know that u is given on a facet
+        is_held[beside >= 0] |= is_held[beside[beside >= 0]]
+        shape = len(vertex), dim
+        return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
+
+    def walk(self, drops: np.ndarray) -> tuple[np.ndarray, float]:
+        """Fluxes out of the corners through their facets with sums of -drops in each, along the trees (collective).
+
+        Args:
+            drops: At the corners.
+
+        Returns:
+            Shape (corners, d), the same number with opposite signs on both sides of a facet; and the largest flux that
+            is left at a root where nothing may leave.
+        """
+        fluxes, left_over = self._trees.walk(drops)
+        return fluxes, max(largest(self.comm, left_over), 0.0)
+
+    def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
+        """The facets of each patch (collective).
+
+        Returns:
+            Their numbers at the corners, shape (corners, d), the same on both sides of a facet unless u is given on it;
+            the patch of each; how many there are.
+        """
+        sides = self._sides(simplices)
+        every = np.arange(sides.beside.size).reshape(sides.beside.shape)
+        first = np.minimum(every, np.where((sides.beside >= 0) & ~sides.held, sides.beside, every))
+        numbers, count = dense(first[self._order].ravel(), every.size)
+        numbers = numbers.reshape(every.shape)
+        patch = np.empty(count, dtype=np.int64)
+        patch[numbers] = self.patch[:, None]
+        return numbers, patch, count
+
+    def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
+        """The edges from each vertex to the others of its corners, of tetrahedra (collective).
+
+        Returns:
+            Their numbers at the corners, shape (corners, 3), which begin anew at each rank and are different for the
+            two ends of an edge; the owned vertex of each; how many there are.
+        """
+        mesh = simplices.data.level.mesh
+        mesh.topology.create_entities(1)
+        mesh.topology.create_connectivity(3, 1)
+        count = own_cells(mesh)
+        local = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[:count]
+        index_map = mesh.topology.index_map(1)
+        number = np.asarray(index_map.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 6)
+        between, others, every, keys = simplices.edges(number), np.array(OTHERS[3]), np.arange(4), []
+        for there in others.T:
+            upper = self._number > self._number[:, there]
+            keys.append(2 * between[:, every, there] + upper)
+        found = np.stack([part[self._order] for part in self._to_owners(*keys)], axis=1)
+        numbers, total = dense(found.ravel(), 2 * index_map.size_global)
+        numbers = numbers.reshape(found.shape)
+        vertex = np.empty(total, dtype=np.int64)
+        vertex[numbers] = self.vertex[self.patch][:, None]
+        return numbers, vertex, total
+
+
+def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
+    """Numbers from 0 on for keys below a limit, and how many are different (local)."""
+    present = np.zeros(limit, dtype=bool)
+    present[keys] = True
+    numbers = np.cumsum(present, dtype=np.int32)
+    return numbers[keys] - 1, int(numbers[-1]) if limit else 0
+
+
+def _pairs(keys: np.ndarray, count: int) -> np.ndarray:
+    """Of each of the numbers below `count` the place where the same one stands once more, -1 if it does not."""
+    every, last, first = np.arange(len(keys)), np.full(count, -1), np.full(count, -1)
+    last[keys] = every
+    ahead = last[keys] != every
+    first[keys[ahead]] = every[ahead]
+    return np.where(ahead, last[keys], first[keys])
