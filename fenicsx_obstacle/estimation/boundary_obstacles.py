@@ -12,11 +12,11 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces, on_sides
-from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Group, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals
 from fenicsx_obstacle.parallel import total
 
 
@@ -32,18 +32,18 @@ class BoundaryObstacle:
         unbounded: Whether it may be infinite on a facet of each cell.
     """
 
-    def __init__(self, sign: float, parts: PartForces, patches: Patches, which: np.ndarray, fields: list[Field]):
+    def __init__(self, sign: float, parts: PartForces, around: AroundNodes, which: np.ndarray, fields: list[Field]):
         """Enclose it (collective).
 
         Args:
             sign: See the attributes.
             parts: Has its facets.
-            patches: The cells around the vertices.
+            around: The cells around the vertices.
             which: The number of the field on the side opposite to each vertex, -1 where there is none, shape (cells,
                 vertices).
             fields: The obstacle on parts of the boundary.
         """
-        self.sign, self._parts, self._patches = sign, parts, patches
+        self.sign, self._parts, self._around = sign, parts, around
         simplices, data = parts.simplices, parts.simplices.data
         self._dim, comm = simplices.dim, data.level.comm
         self.nodal = sign * data.heights(sign)
@@ -51,7 +51,8 @@ class BoundaryObstacle:
         self.rows = np.flatnonzero(number >= 0)
         self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]
         self._share = (parts.share * parts.size * parts.ratio)[self.rows] / self._dim
-        self._weigh(simplices)
+        shares = self._in_cells(np.repeat(self._share[:, None], self._dim, axis=1))
+        self._inverse = reciprocals(around.sums(shares))  # of the size of the facets around each node
         self.unbounded, self.sampled = np.zeros(len(simplices.area), dtype=bool), False
         self.lifted, self._groups = self.nodal, list[Group]()
         if self._dim == 1:  # facets are points
@@ -68,13 +69,7 @@ class BoundaryObstacle:
         above = np.maximum(self._highest(self.nodal), 0.0)
         raised = np.zeros(simplices.dofs.shape)
         np.maximum.at(raised, (cells[:, None], parts.corners[self.rows]), above[:, None])
-        self.lifted = self.nodal + with_ghosts(data.level.V, patches.largest(patches.gather(raised)[0]))
-
-    def _weigh(self, simplices: Simplices) -> None:
-        """The size of the facets around each node (collective)."""
-        shares = self._in_cells(np.repeat(self._share[:, None], self._dim, axis=1))
-        own = self._patches.at_vertices(self._patches.gather(shares)[0])
-        self._inverse = with_ghosts(simplices.data.level.V, reciprocals(own))
+        self.lifted = self.nodal + around.largest(raised)
 
     def _in_cells(self, values: np.ndarray) -> np.ndarray:
         """Values at the vertices of the facets, shape (rows, d), summed at those of the cells."""
@@ -82,15 +77,15 @@ class BoundaryObstacle:
         np.add.at(found, (parts.cells[self.rows][:, None], parts.corners[self.rows]), values)
         return found
 
-    def forces(self, multiplier: np.ndarray) -> np.ndarray:
-        """Contact forces by vertices of the cell of each facet of `parts`, shape (facets, d + 1) (collective).
+    def forces(self, at_nodes: np.ndarray) -> np.ndarray:
+        """Contact forces by vertices of the cell of each facet of `parts`, shape (facets, d + 1) (local).
 
         Args:
-            multiplier: Of owned nodes, >= 0; times `Patches.mass` it is the force there.
+            at_nodes: The forces at local dofs, >= 0.
         """
-        nodal = with_ghosts(self._parts.simplices.data.level.V, multiplier * self._patches.mass) * self._inverse
         found = np.zeros((len(self._parts.cells), self._dim + 1))
-        found[self.rows[:, None], self._parts.corners[self.rows]] = nodal[self._dofs] * self._share[:, None]
+        share = (at_nodes * self._inverse)[self._dofs] * self._share[:, None]
+        found[self.rows[:, None], self._parts.corners[self.rows]] = share
         return found
 
     def gaps(self, v: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float]:

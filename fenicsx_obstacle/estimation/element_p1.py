@@ -30,9 +30,9 @@ class ElementP1(Element):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
         super().__init__(EquilibrationP1(simplices, tension_of_state(problem, simplices)))
-        patches, dim, cells = self.equilibration.patches, simplices.dim, len(simplices.area)
+        around, dim, cells = self.equilibration.around, simplices.dim, len(simplices.area)
         self.obstacles = [
-            ObstacleExcess(simplices, patches, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
+            ObstacleExcess(simplices, around, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
         ]
         if simplices.radius is not None:
             self._ring = AxialFlux(simplices)

@@ -175,7 +175,7 @@ class ElementP2(Element):
         around[:, :3] = (middles.sum(axis=1, keepdims=True) - middles) / 2
         flags = np.zeros_like(around)
         flags[:, :3] = 1.0
-        sums, counts = equilibration.summed(around), equilibration.summed(flags)
+        sums, counts = equilibration.around.sums(around), equilibration.around.sums(flags)
         found = np.where(counts > 0, sums / np.maximum(counts, 1.0), beyond)
         found[self.problem.data.fixed[0]] = 0.0
         return found

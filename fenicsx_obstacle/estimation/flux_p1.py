@@ -8,9 +8,6 @@ rho come from its residual alone, eps-free, and a flux sigma in RT0 with continu
 is found vertex by vertex as a sum of fluxes on the patches, each the nearest (in the norm of mu^(-1/2)) to the broken
 RT0 interpolant of phi_i mu grad u_h (`patch_flux`; Braess and Schoeberl 2008 for equations; the interpolant in place of
 phi_i mu grad u_h itself keeps the flux near on irregular meshes).
-
-Of the contact force at a vertex only its sum over the patch is needed. Where the obstacle falls off steeply the force
-is put into those cells of the patch in which u is near it: the error bound has force times distance.
 """
 
 from __future__ import annotations
@@ -25,6 +22,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
 from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, BoundaryObstacles
 from fenicsx_obstacle.estimation.cell_data import (
@@ -35,6 +33,7 @@ from fenicsx_obstacle.estimation.cell_data import (
     other_effects,
     tension_of,
 )
+from fenicsx_obstacle.estimation.multipliers import Multipliers, pushes
 from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
 from fenicsx_obstacle.estimation.patches import Patches
@@ -43,7 +42,6 @@ from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.parallel import largest, total
 
-NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux
 STIFF = 5.0  # k |T|^(2/d)/tension, from which forces are averaged around vertices
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
 
@@ -84,6 +82,8 @@ class EquilibrationP1:
     Attributes:
         simplices: The owned cells.
         patches: Their corners around the vertices.
+        around: The cells around the vertices.
+        multipliers: Makes those of contact forces at the vertices.
         mu: Tension of each cell, as the solver has it; of a matrix the geometric mean of its eigenvalues.
         pull: The same times the mean weight of integrals in the cell.
         matrix: The tension of each cell, where it is a matrix, shape (cells, d, d).
@@ -117,9 +117,8 @@ class EquilibrationP1:
             self.mu = np.linalg.det(self.matrix) ** (1 / simplices.dim)
             self._inverse = np.linalg.inv(self.matrix)
         self.pull = self.mu * (simplices.size / simplices.area)
-        share = simplices.area / (corners * self.pull)
-        area = self.patches.gather(np.repeat(share[:, None], corners, axis=1))[0]
-        self._softness = self.patches.at_vertices(area)  # int phi_i/mu
+        self.around = AroundNodes(self.level.V, simplices.dofs)
+        self.multipliers = Multipliers(self.level.V, self.around, simplices.area, self.pull, data.fixed[0], SWEEPS)
         others = other_effects(data)
         self.unknown = unknown_effects(data)
         self._prepare_others(others if self.unknown else [])
@@ -130,21 +129,19 @@ class EquilibrationP1:
         bearing = BoundaryObstacles(simplices)
         self.parts = part_forces(simplices, known, patches.held, self.points, bearing.on(simplices.facets.shape))
         self.sides = [
-            BoundaryObstacle(sign, self.parts, patches, which, fields) for sign, which, fields in bearing.given
+            BoundaryObstacle(sign, self.parts, self.around, which, fields) for sign, which, fields in bearing.given
         ]
         stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
-        self._stiff: np.ndarray | None = None  # whether all cells around each patch's vertex are
+        self._stiff: np.ndarray | None = None  # whether all cells around a vertex are, at the corners
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:
-            around = patches.gather(np.repeat(stiff[:, None].astype(float), corners, axis=1))[0]
-            self._stiff = patches.along(patches.smallest(around)[patches.vertex] > 0)
+            everywhere = self.around.smallest(np.repeat(stiff[:, None].astype(float), corners, axis=1))
+            self._stiff = everywhere[simplices.dofs] > 0
         if simplices.radius is not None and simplices.dim == 2:
             self._patch_flux: PatchFlux = AxialPatchFlux(simplices, patches, self.parts, self.mu)
         else:
             self._patch_flux = PatchFlux(simplices, patches, self.parts, self.weighted)
         self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
-        self.missing = np.zeros(patches.owned)
-        if self.load.pieces is not None:
-            self.missing = patches.at_vertices(patches.gather(self.load.missing)[0])
+        self.missing = self.around.sums(self.load.missing)[: self.level.owned]
 
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
@@ -188,39 +185,33 @@ class EquilibrationP1:
             touches_upper: Whether it is at the upper one or beyond it.
             gaps: Mean distance to the lower obstacle in each cell, and to the upper one.
         """
-        simplices, patches, V = self.simplices, self.patches, self.level.V
+        simplices, nodes, level = self.simplices, self.multipliers, self.level
+        touches = [with_ghosts(level.V, owned) > 0.5 for owned in (touches_lower, touches_upper)]
         beta = simplices.along_normals(self.pulled(simplices.gradient(u)) / -simplices.dim)
         given_force = force = self.parts.forces(u)
         outside = beta.copy()
         np.add.at(outside, self.parts.cells, force)
         moments = self._all_moments(u)
-        forces_at_most = largest(self.level.comm, np.maximum(np.abs(outside), np.abs(moments)))
+        forces_at_most = largest(level.comm, np.maximum(np.abs(outside), np.abs(moments)))
         drops, averaged = self._drops(outside, moments)
-        residual = np.where(patches.free, -patches.at_vertices(drops) / patches.mass, 0.0)
-        lower, upper, rest = self._multipliers(residual, touches_lower, touches_upper)
-        with_solver_load = np.where(patches.free, residual + self.missing / patches.mass, 0.0)
-        solver_rest = self._multipliers(with_solver_load, touches_lower, touches_upper)[2]
-        borne: tuple[np.ndarray, ...] = ()
+        residual = np.where(nodes.given, 0.0, -self.around.sums(drops) / nodes.weights)
+        lower, upper = pushes(residual, *touches)
+        rest = residual - lower + upper
+        of_solver = residual + np.where(nodes.given, 0.0, with_ghosts(level.V, self.missing) / nodes.weights)
+        pushed, pulled = pushes(of_solver, *touches)
+        borne = tuple(side.forces((lower if side.sign > 0 else upper) * nodes.weights) for side in self.sides)
         if self.sides:
-            borne = tuple(side.forces(lower if side.sign > 0 else upper) for side in self.sides)
-            at_corners = np.zeros(simplices.dofs.shape)
             for side, one in zip(self.sides, borne, strict=True):
                 force = force + side.sign * one
-                np.add.at(at_corners, self.parts.cells, side.sign * one)
-            drops += patches.gather(at_corners)[0]
-            lower, upper = np.zeros(patches.owned), np.zeros(patches.owned)
-        (lower, push), (upper, pull) = (
-            self._in_cells(self._along_the_boundary(values, touches), gap)
-            for values, touches, gap in ((lower, touches_lower, gaps[0]), (upper, touches_upper, gaps[1]))
+                np.add.at(drops, self.parts.cells, side.sign * one)
+            lower, upper = np.zeros_like(lower), np.zeros_like(upper)
+        lower, upper = (
+            nodes.in_cells(values, there, gap) for values, there, gap in zip((lower, upper), touches, gaps, strict=True)
         )
-        forces = patches.along(rest[patches.vertex])
-        forces += push
-        forces -= pull
-        forces *= patches.area
-        drops += forces
+        drops += nodes.share * (lower - upper + rest[simplices.dofs])
         normal, incompatible = self._patch_flux.nearest(drops, beta, force)
         return FluxP1(
-            lower=lower, upper=upper, rest=with_ghosts(V, rest), solver_rest=with_ghosts(V, solver_rest),
+            lower=lower, upper=upper, rest=rest, solver_rest=of_solver - pushed + pulled,
             normal=normal, incompatible=incompatible, forces=forces_at_most, averaged=averaged, force=given_force,
             contact=borne,
         )  # fmt: skip
@@ -232,65 +223,15 @@ class EquilibrationP1:
         around such vertices forces are spread evenly, so that the sum remains.
 
         Args:
-            outside: Flux of the state out of the corners, and forces on facets, shape (cells, d + 1); overwritten.
+            outside: Flux of the state out of the corners, and forces on facets, shape (cells, d + 1).
             inside: Forces in the corners.
         """
-        patches = self.patches
         if self._stiff is None:
-            outside += inside
-            return patches.gather(outside)[0], np.zeros(len(self.mu))
-        around, forces = patches.gather(outside, inside)
-        sums = np.where(patches.free, patches.at_vertices(forces), -patches.at_vertices(around))
-        even = patches.along((sums / patches.mass)[patches.vertex]) * patches.area
-        spread = np.where(self._stiff, even, forces)
-        changed = patches.scatter(spread - forces)[0]
-        return around + spread, changed.sum(axis=1) / self.simplices.area
-
-    def _multipliers(
-        self, residual: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Split the residual into lambda - nu + rho: contact forces of the right sign, and the rest."""
-        lower = np.where(touches_lower, np.maximum(residual, 0.0), 0.0)
-        upper = np.where(touches_upper, np.maximum(-residual, 0.0), 0.0)
-        return lower, upper, residual - lower + upper
-
-    def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
-        """At contact nodes where u is given: the mean of the neighbours; any value >= 0 is admissible."""
-        level, dofs, values = self.level, self.simplices.dofs, with_ghosts(self.level.V, values)
-        wanted = touches & ~self.patches.free
-        if total(level.comm, np.count_nonzero(wanted)) == 0:
-            return values
-        for _ in range(SWEEPS):
-            corner = values[dofs]
-            dim = float(self.simplices.dim)
-            others = self.patches.gather(corner.sum(axis=1, keepdims=True) - corner, np.full(corner.shape, dim))
-            sums, counts = (self.patches.at_vertices(part) for part in others)
-            values = with_ghosts(level.V, np.where(wanted, sums / counts, values[: level.owned]))
-        return values
-
-    def _in_cells(self, values: np.ndarray, gap: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Nodal multipliers at the corners of cells with the same sum over each patch, and these patch by patch
-        (collective).
-
-        Args:
-            values: At local dofs, >= 0.
-            gap: Mean distance to the obstacle in each cell; None: it plays no part.
-        """
-        patches, own = self.patches, values[: self.level.owned]
-        if total(self.level.comm, np.count_nonzero(own)) == 0:
-            return np.broadcast_to(0.0, self.simplices.dofs.shape), np.broadcast_to(0.0, len(patches.area))
-        along, dofs = patches.along(own[patches.vertex]), self.simplices.dofs
-        if gap is None:
-            return values[dofs], along
-        gaps = patches.gather(np.broadcast_to(gap[:, None], dofs.shape))[0]
-        most = patches.smallest(gaps) + NEAR * own * self._softness
-        far = (gaps > patches.along(most[patches.vertex])) & (along > 0)
-        if total(self.level.comm, np.count_nonzero(far)) == 0:
-            return values[dofs], along
-        share = patches.mass / patches.at_vertices(np.where(far, 0.0, patches.area))
-        along *= patches.along(share[patches.vertex])
-        along[far] = 0.0
-        return patches.scatter(along)[0], along
+            return outside + inside, np.zeros(len(self.mu))
+        nodes, dofs = self.multipliers, self.simplices.dofs
+        sums = np.where(nodes.given, -self.around.sums(outside), self.around.sums(inside))
+        spread = np.where(self._stiff, (sums / nodes.weights)[dofs] * nodes.share, inside)
+        return outside + spread, (spread - inside).sum(axis=1) / self.simplices.area
 
 
 def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -6,8 +6,7 @@ out of balance. The flux is in RT1, again a sum over vertices,
 
     div sigma = -(Pi_1 f + lambda + rho)   in each cell, rho = sum of rho_a psi_a,
 
-of fluxes on the patches that are nearest to the broken RT1 interpolant of psi_a mu grad u_h. Of the force at a middle
-only the sum over its two cells is needed: it is put into one of them where u is much nearer to the obstacle there.
+of fluxes on the patches that are nearest to the broken RT1 interpolant of psi_a mu grad u_h.
 Divergence and normal parts leave few unknowns: what goes round the vertex, and a first moment on each edge from it; the
 moments inside follow.
 """
@@ -17,12 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
-from fenicsx_obstacle.estimation.flux_p1 import NEAR
+from fenicsx_obstacle.estimation.multipliers import Multipliers, pushes
 from fenicsx_obstacle.estimation.patch_systems import PatchSystems
 from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import rule
@@ -60,6 +59,7 @@ class EquilibrationP2:
     Attributes:
         simplices: The owned cells, with the dofs of P1.
         patches: Their corners around the vertices.
+        around: The cells around the nodes of P2.
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
         load: Its moments are int f psi_j psi_k, shape (cells, 3, 3), its oscillation ||f - Pi_1 f||_T.
@@ -79,12 +79,14 @@ class EquilibrationP2:
         self.load = Load(
             simplices, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
         )
-        self.missing = self.summed(against_nodes(self.load.missing))[: self.level.owned]
+        self.around = AroundNodes(self.level.V, self.nodes)
+        self.missing = self.around.sums(against_nodes(self.load.missing))[: self.level.owned]
         self.patches = Patches(simplices)
-        self._given = np.zeros(len(fem.Function(self.level.V).x.array), dtype=bool)
-        self._given[data.fixed[0]] = True
-        weights = self.summed(np.repeat(simplices.area[:, None] / 3, 3, axis=1), middles=True)
-        self._weights = np.where(weights > 0, weights, 1.0)
+        self._middles = AroundNodes(self.level.V, self.nodes[:, 3:])
+        self._multipliers = Multipliers(self.level.V, self._middles, simplices.area, self.mu, data.fixed[0], 1)
+        V = simplices.data.level.V
+        self._vertices = AroundNodes(V, simplices.dofs)
+        self._mass = self._vertices.sums(self._multipliers.share)
         self._prepare_patches()
 
     def _sample_tension(self, data: Data) -> None:
@@ -117,15 +119,6 @@ class EquilibrationP2:
         products = ((u, v, values) for (u, v), values in entries.items())
         self._systems = PatchSystems(numbers, np.concatenate([around, patch]), zero, products)
 
-    def summed(self, values: np.ndarray, *, middles: bool = False) -> np.ndarray:
-        """Sums over the cells around each local node of P2, from values (cells, 6), or (cells, 3) at middles
-        (collective)."""
-        function, nodes = fem.Function(self.level.V), self.nodes[:, 3:] if middles else self.nodes
-        function.x.array[:] = np.bincount(nodes.ravel(), values.ravel(), len(function.x.array))
-        releases.add_ghosts(function)
-        function.x.scatter_forward()
-        return function.x.array.copy()
-
     def flux(
         self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
         gaps: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
@@ -142,17 +135,17 @@ class EquilibrationP2:
         area, gradient = simplices.area, self.gradients(u)
         slopes = np.einsum("xck,xca->cak", gradient, simplices.normal) / (2 * area)[:, None, None]  # grad psi_a at k
         K = slopes @ self._mu_products  # int mu grad u . grad psi_a psi_j
+        touches = [with_ghosts(self.level.V, owned) > 0.5 for owned in (touches_lower, touches_upper)]
         lower, upper = (
-            self._in_cells(values, gap)
-            for values, gap in zip(self._multipliers(K, touches_lower, touches_upper), gaps, strict=True)
+            self._multipliers.in_cells(values, there, gap)
+            for values, there, gap in zip(pushes(self._residual(K), *touches), touches, gaps, strict=True)
         )
-        pushes = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
-        drops = (pushes - K).sum(axis=2)
-        unbalanced = np.where(patches.free, -patches.at_vertices(patches.gather(drops)[0]) / patches.mass, 0.0)
-        rest = with_ghosts(simplices.data.level.V, unbalanced)[simplices.dofs]
-        pushes = pushes + rest[:, :, None] * (area[:, None, None] * MASS)
-        drops = (pushes - K).sum(axis=2)
-        R = K - pushes  # int div sigma^a psi_j
+        inside = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
+        drops = (inside - K).sum(axis=2)
+        rest = np.where(patches.free, -self._vertices.sums(drops) / self._mass, 0.0)[simplices.dofs]
+        inside = inside + rest[:, :, None] * (area[:, None, None] * MASS)
+        drops = (inside - K).sum(axis=2)
+        R = K - inside  # int div sigma^a psi_j
         pulls = self._pulls(u, gradient, K, R, drops)
         drops, *pulls = patches.gather(drops, *pulls)
         fluxes, left_over = patches.walk(drops)
@@ -174,46 +167,11 @@ class EquilibrationP2:
             found[:, :, k] += 4 * (middle[:, m] * normal[:, :, j] + middle[:, j] * normal[:, :, m])
         return found / (2 * self.simplices.area)[None, :, None]
 
-    def _multipliers(
-        self, K: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """lambda and nu at the middles: what pushes away from an obstacle that is touched (collective)."""
+    def _residual(self, K: np.ndarray) -> np.ndarray:
+        """The residual at middles where u is not given, as a multiplier, at local nodes (collective)."""
         j, k = [1, 2, 0], [2, 0, 1]
         forces = 4 * (K[:, j, k] + K[:, k, j] - self.load.moments[:, j, k])
-        residual = self.summed(forces, middles=True) / self._weights
-        residual[self._given] = 0.0
-        found = []
-        for sign, owned in ((1, touches_lower), (-1, touches_upper)):
-            touches = with_ghosts(self.level.V, owned) > 0.5
-            nodal = np.where(touches, np.maximum(sign * residual, 0.0), 0.0)
-            found.append(self._along_the_boundary(nodal, touches)[self.nodes[:, 3:]])
-        return found[0], found[1]
-
-    def _in_cells(self, values: np.ndarray, gap: np.ndarray | None) -> np.ndarray:
-        """Multipliers with the same force at each middle, in those of its cells where u is near (collective).
-
-        Args:
-            values: At the middles of each cell, the same in both cells.
-            gap: Mean distance to the obstacle in each cell; None: it plays no part.
-        """
-        if gap is None:
-            return values
-        area, nodes = np.repeat(self.simplices.area[:, None] / 3, 3, axis=1), self.nodes[:, 3:]
-        softness = self.summed(area / self.mu[:, None], middles=True)[nodes]
-        own = np.repeat(gap[:, None], 3, axis=1)
-        both = self.summed(own, middles=True)[nodes]
-        cells = self.summed(np.ones_like(own), middles=True)[nodes]
-        near = own <= np.where(cells > 1, both - own, own) + NEAR * values * softness
-        kept = self.summed(np.where(near, area, 0.0), middles=True)[nodes]
-        return np.where(near, values * self._weights[nodes] / np.maximum(kept, 1e-300), 0.0)
-
-    def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
-        """Where u is given and touches, the mean of the cell's other middles: any value >= 0 will do (collective)."""
-        corner = values[self.nodes[:, 3:]]
-        others = self.summed((next_(corner) + previous(corner)) / 2, middles=True)
-        cells = self.summed(np.ones_like(corner), middles=True)
-        wanted = self._given & touches & (cells > 0)
-        return np.where(wanted, others / np.maximum(cells, 1.0), values)
+        return np.where(self._multipliers.given, 0.0, self._middles.sums(forces) / self._multipliers.weights)
 
     def _pulls(
         self, u: np.ndarray, gradient: np.ndarray, K: np.ndarray, R: np.ndarray, drops: np.ndarray

@@ -13,6 +13,7 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
@@ -20,7 +21,7 @@ from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import quadratics
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.triangle_lattice import (
     CLOSE,
     COARSE,
@@ -154,7 +155,7 @@ class LatticeObstacle:
         self.unbounded = ~np.isfinite(self._top)
         self._of_samples = total(simplices.data.level.comm, int(known.sampled)) > 0
         self.sampled, self._differs = self._of_samples, False
-        self._given = with_ghosts(simplices.data.level.V, 1.0 - patches.free) > 0
+        self._around = AroundNodes(simplices.data.level.V, simplices.dofs)
         self._beside = np.empty(0, dtype=int), np.empty(0, dtype=int)  # cells and small triangles at the boundary
 
     def nodal(self, data: Data) -> np.ndarray:
@@ -178,7 +179,7 @@ class LatticeObstacle:
         Returns:
             Cells; state - obstacle on their lattices; the amount by which it is raised there; and `Between.contact`.
         """
-        level, pressing = self.simplices.data.level, multiplier.any(axis=1)
+        pressing = multiplier.any(axis=1)
         touches = self._may_touch(u, added, dirichlet) if at_nodes is None else self._seems_to_touch(u, at_nodes)
         near = np.flatnonzero(touches | pressing)
         needed, of_u, moved = np.zeros((2, len(touches))), self._gap(u, near, dirichlet), self.sign * added
@@ -191,9 +192,9 @@ class LatticeObstacle:
         needed[:, near] = between.needed
         place, small = np.nonzero(between.touches & self._at_boundary(near))
         self._beside = near[place], small
-        M, N = (with_ghosts(level.V, self._at_vertices(side)) for side in needed)
+        M, N = (self._at_vertices(side) for side in needed)
         # where the obstacle jumps across an edge only one cell may touch; both need the same values on the edge
-        around = with_ghosts(level.V, self._at_vertices((touches | pressing).astype(float)))
+        around = self._at_vertices((touches | pressing).astype(float))
         others = np.flatnonzero((M + N + around)[self.simplices.dofs].any(axis=1) & ~(touches | pressing))
         cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet) + moved[others]])
         of_M, of_N = (values[self.simplices.dofs[cells]] @ POINTS.T for values in (M, N))
@@ -276,17 +277,15 @@ class LatticeObstacle:
     def _held(self, cells: np.ndarray) -> np.ndarray:
         """Which lattice points of some cells are Dirichlet points."""
         on_side = self._patches.held[cells] @ (POINTS.T == 0)
-        return on_side | (self._given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
+        return on_side | (~self._patches.free[self.simplices.dofs[cells]] @ (POINTS.T == 1))
 
     def _at_boundary(self, cells: np.ndarray) -> np.ndarray:
         """Which small triangles of some cells have a Dirichlet corner."""
         return self._held(cells)[:, SMALL].any(axis=2)
 
     def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
-        """The largest height in the cells around each owned vertex (collective)."""
-        if total(self.simplices.data.level.comm, np.count_nonzero(heights)) == 0:
-            return np.zeros(self._patches.owned)
-        return self._patches.largest(self._patches.gather(np.repeat(heights[:, None], 3, axis=1))[0])
+        """The largest height in the cells around each local vertex (collective)."""
+        return self._around.largest(np.repeat(heights[:, None], 3, axis=1))
 
     def _seems_to_touch(self, u: np.ndarray, at_nodes: np.ndarray) -> np.ndarray:
         """Whether the interpolant of the obstacle is above u, or nearly, in each cell."""

@@ -13,13 +13,13 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
@@ -49,7 +49,7 @@ class ObstacleExcess:
     def __init__(
         self,
         simplices: Simplices,
-        patches: Patches,
+        around: AroundNodes,
         dirichlet: BoundaryValues,
         sign: float,
         field: Field,
@@ -59,20 +59,15 @@ class ObstacleExcess:
 
         Args:
             simplices: The cells.
-            patches: The cells around the vertices.
+            around: The cells around the vertices.
             dirichlet: Boundary values between the nodes.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
         data = simplices.data
-        self.simplices, self.patches, self.dirichlet, self.sign, self._field = (
-            simplices,
-            patches,
-            dirichlet,
-            sign,
-            field,
-        )
+        self.simplices, self._around, self.dirichlet = simplices, around, dirichlet
+        self.sign, self._field = sign, field
         heights = data.heights(sign)
         self.nodal = sign * (field.clip(heights) if isinstance(field, Clipped) else heights)
         comm, cells = data.level.comm, len(simplices.area)
@@ -143,7 +138,7 @@ class ObstacleExcess:
         to_shifted, to_level = np.maximum(shifted - state, 0.0), np.maximum(level - state, 0.0)
         cheaper = to_level.sum(axis=1, keepdims=True) < to_shifted.sum(axis=1, keepdims=True)
         needed[cells] = np.where(cheaper, to_level, to_shifted)
-        return raised + np.where(self._given, 0.0, self._at_nodes(needed))
+        return raised + np.where(self._given, 0.0, self._around.largest(needed))
 
     def beyond(self, v: np.ndarray) -> float:
         """By how much the obstacle may be above the final state, on any rank, but beside nodes where it is given
@@ -224,13 +219,6 @@ class ObstacleExcess:
         self.cover_energy = np.minimum(self.cover_energy, (np.sqrt(without) + np.sqrt(of_cones)) ** 2)
         jumps = total(comm, uncovered) > 0 and not self._field.continuous
         self.sampled = self._of_samples or jumps
-
-    def _at_nodes(self, u_values: np.ndarray) -> np.ndarray:
-        """The largest value at the corners of cells around each local dof, 0 if that is more (collective)."""
-        owned, level = np.zeros(self.patches.owned), self.simplices.data.level
-        if total(level.comm, np.count_nonzero(u_values)) > 0:
-            owned = self.patches.largest(self.patches.gather(u_values)[0])
-        return with_ghosts(level.V, owned)
 
 
 def _least(nodal: np.ndarray, dofs: np.ndarray) -> np.ndarray:

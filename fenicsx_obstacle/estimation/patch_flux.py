@@ -69,7 +69,7 @@ class PatchFlux:
 
         Args:
             drops: What is to leave each corner less what flows out of it, with the sign changed: -int div sigma^a over
-                its cell.
+                its cell, shape (cells, d + 1).
             beta: Fluxes of the targets phi_a mu grad u_h out of each cell, through the facet opposite to each of its
                 vertices if that has the vertex a: the same for all a, shape (cells, d + 1).
             force: What flows out through the facets of `parts` besides, by vertices of the cell; `drops` contain it.
@@ -78,7 +78,7 @@ class PatchFlux:
             The fluxes out of cells, and what patches of free vertices leave over, as `FluxP1` has them.
         """
         patches, parts = self._patches, self._parts
-        fluxes, left_over = patches.walk(drops)
+        fluxes, left_over = patches.walk(patches.gather(drops)[0])
         at_corners = patches.scatter(*fluxes.T)
         for a, others in enumerate(self._others):
             for flux, k in zip(at_corners, others, strict=True):

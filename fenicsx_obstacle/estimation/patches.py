@@ -26,10 +26,8 @@ class Patches:
 
     Attributes:
         held: Whether u is given on the side opposite to each vertex, shape (owned cells, vertices).
-        free: Whether u is not given at an owned vertex.
+        free: Whether u is not given at each local dof.
         free_boundary: Whether a facet with the vertex is on the boundary and u is not given on it, shape (corners, d).
-        area: The share of the corner in its cell, |T|/(d + 1).
-        mass: int phi_i at owned vertices.
         patch: The patch of each corner.
         vertex: Owned dof of each patch.
     """
@@ -37,14 +35,13 @@ class Patches:
     def __init__(self, simplices: Simplices):
         """See where u is given, which rank has which vertex, and find the trees (collective)."""
         data, dofs = simplices.data, simplices.dofs
-        self.comm, self.owned, self._corners = data.level.comm, data.level.owned, dofs.shape[1]
+        self.comm, self._corners = data.level.comm, dofs.shape[1]
         is_held = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
         for facets in data.held:
             is_held[facets[facets < len(is_held)]] = True
         self.held = is_held[simplices.facets]
-        self.free = np.ones(self.owned, dtype=bool)
-        fixed = data.fixed[0]
-        self.free[fixed[fixed < self.owned]] = False
+        self.free = np.ones(len(data.fixed[1].x.array), dtype=bool)
+        self.free[data.fixed[0]] = False
         index_map = data.level.V.dofmap.index_map
         self._number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(
             dofs.shape
@@ -58,12 +55,9 @@ class Patches:
             self._sent = np.bincount(owner, minlength=self.comm.size)
             self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
         sides = self._sides(simplices)
-        self._trees = PatchTrees(sides, self.owned)
+        self._trees = PatchTrees(sides, data.level.owned)
         self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
         self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
-        share = simplices.area / self._corners
-        self.area = self.gather(np.repeat(share[:, None], self._corners, axis=1))[0]
-        self.mass = self.at_vertices(self.area)
 
     def gather(self, *values: np.ndarray) -> np.ndarray:
         """Values at the corners of owned cells, each of shape (cells, vertices), patch by patch (collective).
@@ -89,30 +83,6 @@ class Patches:
             ordered[self._send] = back
             found = list(ordered.T)
         return [part.reshape(-1, self._corners) for part in found]
-
-    def at_vertices(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the corners of each owned vertex (local)."""
-        return np.bincount(self.vertex, weights=self.sums(values), minlength=self.owned)
-
-    def sums(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the corners of each patch (local)."""
-        return np.bincount(self.patch, weights=values, minlength=len(self.vertex))
-
-    def largest(self, values: np.ndarray) -> np.ndarray:
-        """The largest of the values around each owned vertex, 0 if that is more (local)."""
-        found = np.zeros(self.owned)
-        np.maximum.at(found, self.vertex[self.patch], values)
-        return found
-
-    def smallest(self, values: np.ndarray) -> np.ndarray:
-        """The smallest value over the corners of each owned vertex, infinite without one (local)."""
-        found = np.full(self.owned, np.inf)
-        np.minimum.at(found, self.vertex[self.patch], values)
-        return found
-
-    def along(self, values: np.ndarray) -> np.ndarray:
-        """One value for each patch at all of its corners (local)."""
-        return values[self.patch]
 
     def _to_owners(self, *values: np.ndarray) -> list[np.ndarray]:
         """Values at corners, each of shape (cells, vertices), in the order in which owners get them (collective)."""
