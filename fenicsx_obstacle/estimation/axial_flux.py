@@ -16,6 +16,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.estimation.cell_data import Tension
 from fenicsx_obstacle.estimation.part_forces import PartForces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
@@ -86,7 +87,7 @@ class AxialFlux:
             g, tau = fields(block, points[None])
             mu = tension.least[block][:, None, None]
             density = np.einsum("cpx,cpx->cp", mu * g - tau, mu * g - tau)
-            with_weight = simplices.weights(weights, points[None], block)
+            with_weight = weights * polynomials.combined(points[None], self._radius[block])
             squares[block] = simplices.area[block] * integrals(density, with_weight) / tension.least[block]
         tension.integrate_distances(squares, fields, degree=1)
         return squares
@@ -107,7 +108,7 @@ class AxialPatchFlux(PatchFlux):
         assert simplices.radius is not None
         radius, (points, weights) = simplices.radius, rule(2, 3)
         per_edge = reciprocals((next_(radius) + previous(radius)) / 2)
-        weights = simplices.weights(weights, points[None])
+        weights = weights * polynomials.combined(points[None], radius)
         arms = [points @ simplices.x - simplices.x[:, k, None] for k in range(3)]
         # int mu^(-1) tau_i . tau_j of the fluxes tau_i with r tau_i flowing 1 out opposite to vertex i
         products = np.empty((3, 3, len(radius)))

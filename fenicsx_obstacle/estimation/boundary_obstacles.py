@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces, on_sides
-from fenicsx_obstacle.estimation.pieces import Group, joined, pieces_of
-from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals
+from fenicsx_obstacle.estimation.piece_integrals import highest_above, mean_above
+from fenicsx_obstacle.estimation.pieces import joined, pieces_of
+from fenicsx_obstacle.estimation.simplices import Simplices, reciprocals
 from fenicsx_obstacle.parallel import total
 
 
@@ -54,18 +53,16 @@ class BoundaryObstacle:
         shares = self._in_cells(np.repeat(self._share[:, None], self._dim, axis=1))
         self._inverse = reciprocals(around.sums(shares))  # of the size of the facets around each node
         self.unbounded, self.sampled = np.zeros(len(simplices.area), dtype=bool), False
-        self.lifted, self._groups = self.nodal, list[Group]()
+        self.lifted, self._pieces = self.nodal, joined([], len(cells))
         if self._dim == 1:  # facets are points
             return
         x, found = simplices.x[cells[:, None], parts.corners[self.rows]], []
         for k, field in enumerate(fields):
             there = np.flatnonzero(number[self.rows] == k)
             found.append((there, pieces_of(data, field, x[there], cells[there], DIVISION[self._dim])))
-        pieces = joined(found, len(cells))
-        self._groups, self.sampled = pieces.groups, total(comm, int(pieces.sampled)) > 0
+        self._pieces = pieces = joined(found, len(cells))
+        self.sampled = total(comm, int(pieces.sampled)) > 0
         self.unbounded[cells[~np.isfinite(pieces.upper if sign > 0 else pieces.lower)]] = True
-        self._least = np.where(np.isfinite(pieces.lower if sign > 0 else pieces.upper),
-                               pieces.lower if sign > 0 else -pieces.upper, -1e300)  # fmt: skip
         above = np.maximum(self._highest(self.nodal), 0.0)
         raised = np.zeros(simplices.dofs.shape)
         np.maximum.at(raised, (cells[:, None], parts.corners[self.rows]), above[:, None])
@@ -100,38 +97,14 @@ class BoundaryObstacle:
         if self._dim == 1:
             gap = corner[:, 0] - self.nodal[self._dofs[:, 0]]
             return np.maximum(gap, 0.0), float(np.max(-gap, initial=0.0))
-        parts, mean = self._parts, np.zeros(len(self.rows))
-        for group in self._groups:
-            coefficient, _ = self._above(group, corner)
-            degree = max(group.degree, 1)
-            points, weights = rule(self._dim - 1, degree + 1)
-            if parts.radius is not None:
-                weights = weights * polynomials.combined(group.points(points), parts.radius[self.rows][group.rows])
-            below = integrals(polynomials.evaluate(coefficient, points, degree), weights)
-            total_weight = weights.sum() if weights.ndim == 1 else weights.sum(axis=1)
-            known = np.isfinite(group.rest)
-            far = corner[group.rows].max(axis=1, initial=-np.inf) - self._least[group.rows]
-            gap = np.where(known, np.where(known, group.rest, 0.0) * total_weight - below, far * total_weight)
-            mean += np.bincount(group.rows, group.share * gap, len(mean))
-        mean *= reciprocals(parts.ratio[self.rows])
-        away = other[parts.cells[self.rows]]
+        parts = self._parts
+        radius = None if parts.radius is None else parts.radius[self.rows]
+        mean, away = -mean_above(self._pieces, corner, self.sign, radius), other[parts.cells[self.rows]]
         return np.maximum(mean, 0.0) + away, float(np.max(self._highest(v) + away, initial=0.0))
 
     def _highest(self, linear: np.ndarray) -> np.ndarray:
         """Bounds of the obstacle above a P1 function on each facet (local)."""
-        corner, highest = linear[self._dofs], np.full(len(self.rows), -np.inf)
-        for group in (one.no_less(self.sign) for one in self._groups):
-            coefficient, margin = self._above(group, corner)
-            rest = np.where(np.isfinite(group.rest), group.rest, 0.0)  # `Certification` has a word about others
-            top = polynomials.largest(coefficient, self._dim, max(group.degree, 1)) + rest
-            group.raise_to(highest, np.where(np.abs(top) <= margin, 0.0, top + margin))
-        return highest
-
-    def _above(self, group: Group, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
-        degree, coefficient = group.above(corner, self.sign)
-        size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(corner[group.rows]))
-        return coefficient, polynomials.round_off(size[:, None], self._dim, degree)
+        return highest_above(self._pieces, linear[self._dofs], self.sign)
 
 
 class BoundaryObstacles:

@@ -18,6 +18,7 @@ from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.certification import CellDatum
+from fenicsx_obstacle.estimation.piece_integrals import distance
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
@@ -147,6 +148,7 @@ class Load:
         moments: int q test for each test function, shape (cells, ...).
         missing: The same less what the solver makes of it.
         oscillation: Bound of ||f - Pi q||_T, shape (cells,).
+        unknown: The part of it that is due to r.
         rest: Bound of the mean of r in each cell.
         pieces: What is known of it; None of a number.
     """
@@ -169,7 +171,7 @@ class Load:
         self._simplices, self._tests, self._basis, self._dim = simplices, tests, basis, simplices.dim
         count = len(simplices.area)
         points, weights = rule(self._dim, 4)  # exact for what the solver has, times a test function
-        self.oscillation, self.rest = np.zeros(count), np.zeros(count)
+        self.oscillation, self.unknown, self.rest = (np.zeros(count) for _ in range(3))
         self.moments = np.zeros((count, *tests(points).shape[1:]))
         self.missing = np.zeros_like(self.moments)
         self.pieces: Pieces | None = None
@@ -191,7 +193,7 @@ class Load:
         self.pieces = in_cells(simplices, value, division)
         highest, unknown = largest(comm, np.abs(seen)), np.zeros(count)
         for group in self.pieces.groups:
-            group.add_to(unknown, group.share * np.where(np.isfinite(group.rest), group.rest, 0.0))
+            group.add_to(unknown, group.share * group.known_rest)
         far = [_far(group, SEEN * highest, unknown > UNDECIDED * highest) for group in self.pieces.groups]
         of_groups = list(zip(self.pieces.groups, far, strict=True))
         cells = np.unique(np.concatenate([np.empty(0, int), *(one.rows[parts] for one, parts in of_groups)]))
@@ -219,42 +221,28 @@ class Load:
     def _integrate(self, pieces: Pieces) -> None:
         """Moments, and distances to their projections."""
         simplices, area, size = self._simplices, self._simplices.area, self._simplices.size
-        count, flat = len(area), _rows(self.moments)  # a view
+        flat = _rows(self.moments)  # a view
         ratio = size / area
-        parts = [group[block] for group in pieces.groups for block in _blocks(group)]
-        for part in parts:
+        for part in (group[block] for group in pieces.groups for block in _blocks(group)):
             points, weights = rule(self._dim, part.degree + 2)  # the weight of integrals is linear
             tests = _rows(_at(self._tests, part.points(points)), 2)
             found = polynomials.combined(tests.transpose(0, 2, 1), part.values(points) * weights)
             part.add_to(flat, (part.share * size[part.rows])[:, None] * found)
             if simplices.radius is not None:
-                with_weight = simplices.weights(weights, part.points(points), part.rows)
+                with_weight = part.weights(points, weights, simplices.radius)
                 more = integrals(part.values(points), with_weight) - ratio[part.rows] * (part.values(points) @ weights)
                 part.add_to(
                     flat, (part.share * area[part.rows] * more / flat.shape[1])[:, None] * np.ones(flat.shape[1])
                 )
+            of_rest = part.known_rest * part.mean_weight(simplices.radius) / ratio[part.rows]
+            part.add_to(self.rest, part.share * of_rest)
         points, weights = rule(self._dim, 2)
         basis = self._basis(points)
         of_basis = _rows(self.moments.sum(axis=-1))
         nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / size[:, None]
-        squares, rests = np.zeros(count), np.zeros(count)
-        for part in parts:
-            points, weights = rule(self._dim, 2 * max(part.degree, 1) + (simplices.radius is not None))
-            there = polynomials.combined(_at(self._basis, part.points(points)), nearest[part.rows])
-            with_weight = simplices.weights(weights, part.points(points), part.rows)
-            part.add_to(squares, part.share * integrals((part.values(points) - there) ** 2, with_weight))
-            rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
-            weight = part_weight(simplices, part)
-            part.add_to(rests, part.share * weight * rest**2)
-            part.add_to(self.rest, part.share * weight * rest / ratio[part.rows])
-        self.oscillation = np.sqrt(area) * (np.sqrt(squares) + np.sqrt(rests))
-
-
-def part_weight(simplices: Simplices, part: Group) -> np.ndarray | float:
-    """The mean of the weight of integrals on parts of cells, 1 if there is none."""
-    middle = np.full((1, simplices.dim + 1), 1 / (simplices.dim + 1))
-    found = simplices.weights(np.ones(1), part.points(middle), part.rows)
-    return found if found.ndim == 1 else found[:, 0]
+        known, rests = distance(pieces, nearest @ self._basis(np.eye(self._dim + 1)).T, simplices.radius)
+        self.unknown = np.sqrt(area) * rests
+        self.oscillation = np.sqrt(area) * known + self.unknown
 
 
 def _far(group: Group, limit: float, undecided: np.ndarray) -> np.ndarray:
@@ -337,7 +325,7 @@ class Tension:
             group.lower_to(self.least, lower)
             group.raise_to(self.most, upper)
             group.add_to(mean, group.share * self._mean_of(group))
-            group.add_to(spread, group.share * rest * part_weight(self._simplices, group))
+            group.add_to(spread, group.share * rest * group.mean_weight(self._simplices.radius))
             varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)
             self.varies[group.rows[varies]] = True
             self._parts += [
@@ -353,7 +341,7 @@ class Tension:
         if self._simplices.radius is None:
             return group.coefficients.mean(axis=1)
         points, weights = rule(self._dim, group.degree + 1)
-        return integrals(group.values(points), self._simplices.weights(weights, group.points(points), group.rows))
+        return integrals(group.values(points), group.weights(points, weights, self._simplices.radius))
 
     def known(self) -> CellDatum:
         """What is known of it, for `certification.Hypotheses`."""
@@ -397,7 +385,7 @@ class Tension:
             exact = 2 * max(part.degree + degree - 1, degree) if part.smooth else 4 * degree
             points, weights = rule(self._dim, exact + more)
             g, s = fields(part.rows, part.points(points))
-            weights = self._simplices.weights(weights, part.points(points), part.rows)
+            weights = part.weights(points, weights, self._simplices.radius)
             gg, gs, ss = (np.einsum("cpx,cpx->cp", *pair) for pair in ((g, g), (g, s), (s, s)))
             if part.smooth:
                 difference = part.values(points)[..., None] * g - s
@@ -405,7 +393,7 @@ class Tension:
                 found = (np.sqrt(near) + part.rest * np.sqrt(integrals(gg, weights))) ** 2 / part.lower
             else:
                 a, b = (mu * gg - 2 * gs + ss / mu for mu in (least, most))
-                apart = np.sqrt(integrals((a - b) ** 2, weights) * part_weight(self._simplices, part))
+                apart = np.sqrt(integrals((a - b) ** 2, weights) * part.mean_weight(self._simplices.radius))
                 found = (integrals(a + b, weights) + apart) / 2
             part.add_to(squares, measure * found)
 

@@ -259,7 +259,7 @@ class LatticeObstacle:
                 rows, reference = group.rows, inner_points(3, max(group.degree, 2))
                 degree, coefficient, margin = self._difference(group, nodes[rows])
                 coefficient = coefficient - coefficients(combined(group.points(reference), lift[rows]), 3, degree)
-                beyond = np.where(np.isfinite(group.rest), group.rest, 0.0) - cones[rows] + margin
+                beyond = group.known_rest - cones[rows] + margin
                 open_ = np.flatnonzero(largest(coefficient, 3, degree) + beyond > 0)
                 rows = rows[open_]
                 above[rows] = True
@@ -413,9 +413,7 @@ class LatticeObstacle:
             degree, coefficient, margin = self._difference(group, nodes[group.rows])
             chord = combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
-            rest = (
-                np.where(np.isfinite(group.rest), group.rest, 0.0) + 2 * dirichlet.deviation[cells[group.rows]] + margin
-            )
+            rest = group.known_rest + 2 * dirichlet.deviation[cells[group.rows]] + margin
             group.raise_to(bend, largest(above, 3, degree) + rest)
             group.raise_to(size, row_size(above) + rest)
             mean += np.bincount(group.rows, group.share * (rest - above.mean(axis=1)), len(mean))

@@ -17,9 +17,9 @@ from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
-from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals
+from fenicsx_obstacle.estimation.piece_integrals import LOWEST, highest_above, mean_above
+from fenicsx_obstacle.estimation.pieces import Division, Pieces, Range, pieces_of
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
@@ -27,7 +27,6 @@ SHARPER = (Division(0, 2e-3, degree=2), Division(4, 2e-3, 1e-3, 2))
 BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
 FEW = 20_000  # while there are so few parts: on fine meshes they matter less
 ROUND_OFF = 1e-14  # relative to the values of u
-LOWEST = -1e300  # a mean of which no bound is known
 
 
 class ObstacleExcess:
@@ -87,38 +86,10 @@ class ObstacleExcess:
 
     def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
         """Heights and means in some cells; above the interpolant, and in all."""
-        nodal = self.nodal[self.simplices.dofs[cells]]
-        highest, mean = np.full(len(cells), -np.inf), np.zeros(len(cells))
-        for group in pieces.groups:
-            highest_there = group.no_less(self.sign)
-            coefficient, margin = self._above(highest_there, nodal)
-            rest = np.where(np.isfinite(highest_there.rest), highest_there.rest, 0.0)  # `unbounded` otherwise
-            top = polynomials.largest(coefficient, self.simplices.dim + 1, max(group.degree, 1)) + rest
-            group.raise_to(highest, np.where(top <= margin, 0.0, top + margin))
-            known, coefficient = np.isfinite(group.rest), self._above(group, nodal)[0]
-            share = np.where(known, group.share * self._mean(group, coefficient, cells), LOWEST)
-            mean += np.bincount(group.rows, share, len(mean))
-        self._height[cells], self.mean[cells] = np.maximum(highest, 0.0), mean
+        nodal, radius = self.nodal[self.simplices.dofs[cells]], self.simplices.radius
+        self._height[cells] = np.maximum(highest_above(pieces, nodal, self.sign, ROUND_OFF * self._size), 0.0)
+        self.mean[cells] = mean_above(pieces, nodal, self.sign, None if radius is None else radius[cells])
         self._top[cells] = pieces.upper if self.sign > 0 else -pieces.lower
-
-    def _mean(self, group: Group, coefficient: np.ndarray, cells: np.ndarray) -> np.ndarray:
-        """A lower bound of the mean on parts of some cells."""
-        simplices = self.simplices
-        if simplices.radius is None:
-            return coefficient.mean(axis=1) - group.rest
-        degree, rows = max(group.degree, 1), cells[group.rows]
-        points, weights = rule(simplices.dim, degree + 1)
-        weights = simplices.weights(weights, group.points(points), rows)
-        above = polynomials.evaluate(coefficient, points, degree) - group.rest[:, None]
-        return integrals(above, weights) * simplices.area[rows] / simplices.size[rows]
-
-    def _above(self, group: Group, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bernstein coefficients of the obstacle's polynomials above a linear function; their round-off."""
-        degree, coefficient = group.above(linear, self.sign)
-        size = np.maximum(polynomials.row_size(group.coefficients), polynomials.row_size(linear[group.rows]))
-        return coefficient, polynomials.round_off(
-            size[:, None], self.simplices.dim + 1, degree
-        ) + ROUND_OFF * self._size
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """The state raised at nodes where it is not given, so that the obstacle is nowhere above it in cells without
@@ -196,9 +167,9 @@ class ObstacleExcess:
             cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
             above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
             for group in (one.no_less(self.sign) for one in pieces.groups):
-                coefficient, margin = self._above(group, linear)
-                beyond = group.rest - cones[group.rows]
-                open_ = np.flatnonzero(polynomials.largest(coefficient, count, max(group.degree, 1)) + beyond > margin)
+                degree, coefficient, margin = group.above(linear, self.sign)
+                beyond, margin = group.rest - cones[group.rows], margin + ROUND_OFF * self._size
+                open_ = np.flatnonzero(polynomials.largest(coefficient, count, degree) + beyond > margin)
                 rows = group.rows[open_]
                 above[rows] = True
                 if last:

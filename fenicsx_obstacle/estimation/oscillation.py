@@ -18,11 +18,12 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import Load, part_weight
+from fenicsx_obstacle.estimation.cell_data import Load
+from fenicsx_obstacle.estimation.piece_integrals import distance
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1
@@ -95,13 +96,10 @@ class Oscillation:
         if simplices.radius is not None:
             self._moments = load.moments * (area / simplices.size)[:, None]
             self.norm, self._mean = self.poincare * load.oscillation, sums(self._moments) / area
-            self.beyond = self._beyond_linear(load.pieces.groups, self._mean)
+            linear = self._mean[:, None] + self.linear(slice(None))
+            self.beyond = np.sqrt(area) * np.add(*distance(load.pieces, linear, simplices.radius))
             return
-        squares = np.zeros(count)
-        for group in load.pieces.groups:
-            rest = np.where(np.isfinite(group.rest), group.rest, 0.0)  # `Hypotheses` has a word about these
-            group.add_to(squares, group.share * rest**2)
-        self.rest = self.poincare * np.sqrt(area * squares)
+        self.rest = self.poincare * load.unknown
         self.norm = self.poincare * load.oscillation
         moments = load.moments if degree == 0 else load.moments.sum(axis=2)  # int f psi_l
         mean, of_linear = sums(moments) / area, np.empty(count)
@@ -143,22 +141,6 @@ class Oscillation:
             radius = self._simplices.radius[cells]
             found -= (sums(found * (radius + sums(radius)[:, None])) / ((dim + 2) * sums(radius)))[:, None]
         return found
-
-    def _beyond_linear(self, groups: list[Group], mean: np.ndarray) -> np.ndarray:
-        """A bound of ||g - linear||_T with the weight of integrals."""
-        simplices = self._simplices
-        linear = self.linear(slice(None))
-        squares, rests = np.zeros(len(linear)), np.zeros(len(linear))
-        for whole in groups:
-            points, weights = rule(simplices.dim, 2 * max(whole.degree, 1) + 1)
-            for block in blocks(len(whole.rows)):
-                part = whole[block]
-                there = mean[part.rows, None] + polynomials.combined(part.points(points), linear[part.rows])
-                with_weight = simplices.weights(weights, part.points(points), part.rows)
-                part.add_to(squares, part.share * integrals((part.values(points) - there) ** 2, with_weight))
-                rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
-                part.add_to(rests, part.share * part_weight(simplices, part) * rest**2)
-        return np.sqrt(simplices.area) * (np.sqrt(squares) + np.sqrt(rests))
 
     def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""

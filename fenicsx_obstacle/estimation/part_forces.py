@@ -17,15 +17,14 @@ The force along a facet inside is divided between its two cells.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 
-from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation import piece_integrals
 from fenicsx_obstacle.estimation.oscillation import poincare
-from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.pieces import Division, Pieces, joined, pieces_of
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.reactions import squared_norm
@@ -108,30 +107,30 @@ class PartForces:
         if not self.pieces or not count:
             return np.zeros(count), np.zeros(count)
         corner, root = u[self.dofs], np.sqrt(self.size)
-        ratio = self.ratio
+        ratio, radius = self.ratio, self.radius
         inverse = reciprocals(ratio)
         one, other = np.ones((count, dim)), force.sum(axis=1) / (self.share * self.size) * inverse
-        of_flux, of_spring = (pieces.groups for pieces in self.pieces)
+        of_flux, of_spring = self.pieces
+        means = piece_integrals.mean(of_flux, one, radius), piece_integrals.mean(of_spring, corner, radius)
+        mean = means[0] - means[1]
+        (flux, flux_rest), (spring, spring_rest) = (
+            piece_integrals.distance(pieces, np.repeat(own[:, None], dim, axis=1), radius, factor)
+            for pieces, own, factor in zip(self.pieces, means, (one, corner), strict=True)
+        )
+        # both at the same points where neither is divided
+        groups = [*of_flux.groups, *of_spring.groups]
         divided = np.zeros(count, dtype=bool)
-        for group in (*of_flux, *of_spring):
+        for group in groups:
             if group.corners is not None:
                 divided[group.rows] = True
-        # both at the same points where neither is divided
-        degree = max((group.degree for group in (*of_flux, *of_spring)), default=0) + 1
-        points, weights = rule(dim - 1, 2 * degree + (self.radius is not None))
-        if self.radius is not None:
-            weights = weights * (self.radius @ points.T)
+        degree = max((group.degree for group in groups), default=0) + 1
+        points, weights = rule(dim - 1, 2 * degree + (radius is not None))
+        if radius is not None:
+            weights = weights * (radius @ points.T)
         there = _undivided(of_flux, points, count) - _undivided(of_spring, points, count) * (corner @ points.T)
-        mean = integrals(there, weights) * inverse
-        apart = np.sqrt(integrals((there - mean[:, None]) ** 2, weights))
-        rows = np.flatnonzero(divided)
-        if len(rows):
-            flux, spring = (
-                _norms(groups, factor, rows, self.radius) for groups, factor in ((of_flux, one), (of_spring, corner))
-            )
-            mean[rows], apart[rows] = flux[0] - spring[0], flux[1] + spring[1]
-        rests = _rests(of_flux, one, self.radius) + _rests(of_spring, corner, self.radius)
-        return root * apart, root * (np.sqrt(ratio) * np.abs(mean - other) + rests)
+        together = np.sqrt(integrals((there - mean[:, None]) ** 2, weights))
+        apart = np.where(divided, flux + spring, together)
+        return root * apart, root * (np.sqrt(ratio) * np.abs(mean - other) + flux_rest + spring_rest)
 
     def lacking(
         self, u: np.ndarray, force: np.ndarray, least_tension: np.ndarray, friedrichs: float
@@ -251,43 +250,10 @@ def on_sides(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
     return marked[simplices.facets]
 
 
-def _undivided(groups: list[Group], points: np.ndarray, count: int) -> np.ndarray:
+def _undivided(pieces: Pieces, points: np.ndarray, count: int) -> np.ndarray:
     """Values at points of facets that are no parts, 0 elsewhere, shape (facets, points)."""
     found = np.zeros((count, len(points)))
-    for group in groups:
+    for group in pieces.groups:
         if group.corners is None:
             found[group.rows] = group.values(points)
     return found
-
-
-def _norms(
-    groups: list[Group], factor: np.ndarray, rows: np.ndarray, radius: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """On some facets the mean of a datum times a linear function, and the root of the mean square of the difference."""
-    count, found = len(factor), []
-    chosen, means, squares = np.zeros(count, dtype=bool), np.zeros(count), np.zeros(count)
-    chosen[rows] = True
-    for group in groups:
-        part = group[np.flatnonzero(chosen[group.rows])]
-        points, weights = rule(factor.shape[1] - 1, 2 * (part.degree + 1) + (radius is not None))
-        if radius is not None:
-            weights = weights * polynomials.combined(part.points(points), radius[part.rows])
-        there = np.matmul(part.points(points), factor[part.rows][..., None])[..., 0] * part.values(points)
-        found.append((part, there, weights))
-        means += np.bincount(part.rows, part.share * integrals(there, weights), count)
-    if radius is not None:
-        means *= reciprocals(radius.mean(axis=1))
-    for part, there, weights in found:
-        squares += np.bincount(part.rows, part.share * integrals((there - means[part.rows, None]) ** 2, weights), count)
-    return means[rows], np.sqrt(squares[rows])
-
-
-def _rests(groups: list[Group], factor: np.ndarray, radius: np.ndarray | None) -> np.ndarray:
-    """The root of the mean square of a bound of what a datum is beyond its polynomials, times a linear function."""
-    squares = np.zeros(len(factor))
-    for group in groups:
-        rest = np.where(group.rest < inf, group.rest, 0.0)  # `Hypotheses` has a word about these
-        size = np.abs(factor[group.rows]).max(axis=1, initial=0.0)
-        weight = 1.0 if radius is None else radius[group.rows].max(axis=1, initial=0.0)
-        squares += np.bincount(group.rows, group.share * weight * (rest * size) ** 2, len(factor))
-    return np.sqrt(squares)

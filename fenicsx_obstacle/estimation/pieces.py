@@ -99,6 +99,31 @@ class Group:
         """Of the polynomials at points of the parts, shape (parts, points)."""
         return polynomials.evaluate(self.coefficients, reference, self.degree)
 
+    @property
+    def known_rest(self) -> np.ndarray:
+        """`rest`, 0 where it is infinite."""
+        return np.where(np.isfinite(self.rest), self.rest, 0.0)
+
+    def weights(self, reference: np.ndarray, weights: np.ndarray, radius: np.ndarray | None) -> np.ndarray:
+        """Weights of a quadrature on the parts, shape (points,); with the weight of integrals as a factor, if any, of
+        shape (parts, points).
+
+        Args:
+            reference: Points of the parts, shape (points, corners).
+            weights: Of the quadrature.
+            radius: The weight of integrals at the corners of the simplices; None: they have none.
+        """
+        if radius is None:
+            return weights
+        return weights * polynomials.combined(self.points(reference), radius[self.rows])
+
+    def mean_weight(self, radius: np.ndarray | None) -> np.ndarray | float:
+        """The mean weight of integrals on the parts, 1 if they have none."""
+        if radius is None:
+            return 1.0
+        corners = radius.shape[1]
+        return polynomials.combined(self.points(np.full((1, corners), 1 / corners)), radius[self.rows])[:, 0]
+
     def no_less(self, sign: float) -> Group:
         """The same parts, with an upper bound of sign times the datum where bounds are all that is known: the middle of
         bounds that are far apart, such as -1e20 and 0, plus half their distance is no accurate bound.
@@ -113,8 +138,9 @@ class Group:
         middle = np.where(finite, side, self.coefficients[:, 0])[:, None]
         return replace(self, coefficients=middle, rest=np.where(finite, 0.0, self.rest))
 
-    def above(self, linear: np.ndarray, sign: float = 1.0) -> tuple[int, np.ndarray]:
-        """Degree and Bernstein coefficients of sign times the polynomials less a linear function of each simplex.
+    def above(self, linear: np.ndarray, sign: float) -> tuple[int, np.ndarray, np.ndarray]:
+        """Degree and Bernstein coefficients of sign times the polynomials less a linear function of each simplex; their
+        round-off.
 
         Args:
             linear: Its values at the corners of the simplices, shape (simplices, corners).
@@ -123,7 +149,9 @@ class Group:
         degree, corners = max(self.degree, 1), linear.shape[1]
         reference = polynomials.inner_points(corners, degree)
         there = polynomials.combined(self.points(reference), linear[self.rows])
-        return degree, polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
+        found = polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
+        size = np.maximum(polynomials.row_size(self.coefficients), polynomials.row_size(linear[self.rows]))
+        return degree, found, polynomials.round_off(size[:, None], corners, degree)
 
     def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:
         """Bound of the mean of |grad(datum - other functions)|^2 on the parts of triangles or tetrahedra.

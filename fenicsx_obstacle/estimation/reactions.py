@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import TENSION, in_cells, of_solver, part_weight
+from fenicsx_obstacle.estimation import piece_integrals
+from fenicsx_obstacle.estimation.cell_data import TENSION, in_cells, of_solver
 from fenicsx_obstacle.estimation.pieces import Pieces
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, sums
 
 
 class Reaction:
@@ -61,27 +61,10 @@ class Reaction:
         mean = sums(corner) / (dim + 1)
         if self.pieces is None:
             return np.sqrt(squared_norm(k[:, None] * (corner - mean[:, None]) - linear, area)), np.zeros(len(area))
-        means, squares, rests = (np.zeros(len(area)) for _ in range(3))
-        ratio = simplices.size / area
-        parts = [group[block] for group in self.pieces.groups for block in blocks(len(group.rows))]
-        values = []
-        for part in parts:
-            points, weights = rule(dim, 2 * (part.degree + 1) + (simplices.radius is not None))
-            there = part.points(points)
-            weights = simplices.weights(weights, there, part.rows)
-            product = np.matmul(there, corner[part.rows][..., None])[..., 0] * part.values(points)
-            means += np.bincount(part.rows, part.share * integrals(product, weights), len(area))
-            values.append((product - np.matmul(there, linear[part.rows][..., None])[..., 0], weights))
-        means /= ratio
-        for part, (there, weights) in zip(parts, values, strict=True):
-            found = integrals((there - means[part.rows, None]) ** 2, weights)
-            squares += np.bincount(part.rows, part.share * found, len(area))
-            rest = np.where(np.isfinite(part.rest), part.rest, 0.0)  # `Hypotheses` has a word about these
-            size = np.abs(corner[part.rows]).max(axis=1, initial=0.0)
-            weight = part_weight(simplices, part)
-            rests += np.bincount(part.rows, part.share * weight * (rest * size) ** 2, len(area))
-        root = np.sqrt(area)
-        return root * np.sqrt(squares), root * (np.sqrt(ratio) * np.abs(means - k * mean) + np.sqrt(rests))
+        radius, root, ratio = simplices.radius, np.sqrt(area), simplices.size / area
+        means = piece_integrals.mean(self.pieces, corner, radius)
+        known, rests = piece_integrals.distance(self.pieces, linear + means[:, None], radius, corner)
+        return root * known, root * (np.sqrt(ratio) * np.abs(means - k * mean) + rests)
 
     def energy(self, e: np.ndarray) -> np.ndarray:
         """A bound of the integral of k e^2 over each cell, e a P1 function by its values at local dofs (local)."""

@@ -7,7 +7,7 @@ from functools import reduce
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import polynomials, releases
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.halving import EDGES
@@ -56,17 +56,6 @@ class Simplices:
             radius = self.x[:, :, 0]
             self.radius = np.where(np.abs(radius) <= ON_AXIS * radius.max(initial=0.0), 0.0, radius)
             self.size = self.area * sums(self.radius) / (self.dim + 1)
-
-    def weights(self, weights: np.ndarray, points: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Weights of a quadrature in cells, of shape (points,), with the weight of integrals, if any, as a factor: then
-        of shape (cells, points).
-
-        Args:
-            weights: Of the quadrature.
-            points: Barycentric coordinates, shape (cells or 1, points, d + 1).
-            cells: Which.
-        """
-        return weights if self.radius is None else weights * polynomials.combined(points, self.radius[cells])
 
     @property
     def most_weight(self) -> np.ndarray | float:
@@ -162,7 +151,7 @@ def sums(values: np.ndarray) -> np.ndarray:
 
 
 def integrals(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Of values of shape (cells, points), by weights as `Simplices.weights` has them."""
+    """Of values of shape (cells, points), by weights as `pieces.Group.weights` has them."""
     return values @ weights if weights.ndim == 1 else np.einsum("cp,cp->c", values, weights)
 
 

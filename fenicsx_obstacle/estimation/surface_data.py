@@ -311,7 +311,7 @@ class SurfaceData(BoundaryValues):
         more = np.where(unknown, (group.upper - group.lower) / narrowest, group.steep)
         away = polynomials.row_size(coefficients)
         exact = (away <= 64 * ROUND_OFF * self._heights) & (group.rest == 0)
-        away = away + np.where(np.isfinite(group.rest), group.rest, 0.0)
+        away = away + group.known_rest
         slope += np.where(np.isfinite(more), more, 0.0)
         return np.where(exact, 0.0, away), np.where(exact, 0.0, slope)
 
