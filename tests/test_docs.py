@@ -22,8 +22,8 @@ from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import tables
+from fenicsx_obstacle.scenes.definitions import FIELDS
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, FUNCTIONS
-from fenicsx_obstacle.scenes.report import FIELDS
 from tests.conftest import CLEAN, DEMOS, slow_except
 
 pytestmark = pytest.mark.serial

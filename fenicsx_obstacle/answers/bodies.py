@@ -96,8 +96,8 @@ class BodyContext:
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
         self.mesh_seconds = time.perf_counter() - started
-        self.body = Body(scene, level)
-        self._report = BodyReport(self.body)
+        self.body = Body(scene.model, level)
+        self._report = BodyReport(self.body, scene)
         self._report.check()
         check_profiles(scene, self.body.level)
         self.setup_seconds = time.perf_counter() - started - self.mesh_seconds

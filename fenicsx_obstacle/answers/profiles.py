@@ -15,7 +15,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.problems.values import Profile
-from fenicsx_obstacle.scenes.profile_table import compare_place
+from fenicsx_obstacle.scenes.report import compare_place
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, nearest
 

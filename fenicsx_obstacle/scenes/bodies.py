@@ -22,6 +22,7 @@ from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, assembled, over, vector_pair
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level, at_surface
+from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.effects.domain.elasticity import Elasticity
@@ -31,7 +32,6 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
-from fenicsx_obstacle.scenes.scene import Scene
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.scenes.rigid_surfaces import NodalGap
@@ -74,44 +74,44 @@ class Body:
     """The elastic body of a scene on one mesh.
 
     Attributes:
-        scene: The scene.
+        model: Its effects, and what is given on its boundary.
         level: Mesh and scalar spaces.
-        data: The data of the scene, sampled.
+        data: The data of the model, sampled.
         law: Hooke's law.
         facing: The obstacles.
         gap: In V_h; 0 where there is no obstacle.
         problem: Its ObstacleProblem.
     """
 
-    def __init__(self, scene: Scene, level: Level):
+    def __init__(self, model: Model, level: Level):
         """Sample, compile and assemble (collective).
 
         Raises:
             InputError: If the data are invalid.
         """
         level = at_surface(replace(level, pair=vector_pair(level.pair)))  # pressures at all nodes
-        self.scene, self.level = scene, level
-        self.data, self.vectors = Data(scene.model, level), over(level)
+        self.model, self.level = model, level
+        self.data, self.vectors = Data(model, level), over(level)
         mesh, V = level.mesh, self.vectors.V
         gdim = mesh.geometry.dim
         if mesh.topology.dim != gdim or gdim == 1:
-            raise InputError(f"{scene.source}: elasticity is for plane and solid meshes, not for surfaces or intervals")
-        if scene.model.radial:
+            raise InputError(f"{model.source}: elasticity is for plane and solid meshes, not for surfaces or intervals")
+        if model.radial:
             _ = self.data.radius  # rejects a mesh on both sides of the axis
-        elastic = scene.model.elastic
+        elastic = model.elastic
         assert isinstance(elastic, Elasticity)
         self.u, v = fem.Function(V, name="u"), ufl.TestFunction(V)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are among the remarks
-            F, self.law = residual(scene.effects, self.u, v, self.data), elastic.law(self.u, self.data)
+            F, self.law = residual(model.effects, self.u, v, self.data), elastic.law(self.u, self.data)
         self._normals, self._places, self.gap = fem.Function(V), fem.Function(V), fem.Function(level.V)
         self._places.x.array.reshape(-1, gdim)[self.vectors.node_of] = level.points[:gdim].T
-        self.facing = [self._faced(effect) for effect in scene.effects if isinstance(effect, Obstacle)]
+        self.facing = [self._faced(effect) for effect in model.effects if isinstance(effect, Obstacle)]
         if not self.facing:
-            raise InputError(f"{scene.source}: an elastic body without contact: give a [[boundary]] an obstacle")
+            raise InputError(f"{model.source}: an elastic body without contact: give a [[boundary]] an obstacle")
         if sum(one.obstacle.force is not None for one in self.facing) > 1:
             raise InputError(
-                f"{scene.source}: several obstacles with a force: one can be moved until its force is reached"
+                f"{model.source}: several obstacles with a force: one can be moved until its force is reached"
             )
         self._values = list[tuple[fem.Function, Field, int]]()
         self._surfaces: dict[Facing, NodalGap] = {}
@@ -121,14 +121,14 @@ class Body:
         self._check_effect()
         with self._naming_parts():
             self.problem = _Problem(
-                scene.source, F, self.u, bcs=bcs, lower=self.gap, of=-ufl.dot(self.u, self._normals),
+                model.source, F, self.u, bcs=bcs, lower=self.gap, of=-ufl.dot(self.u, self._normals),
                 measure=self._measure(), stress=self.law.stress,
             )  # fmt: skip
 
     def _check_effect(self) -> None:
         """Reject an obstacle where u is given along its direction at all nodes (collective)."""
         normals, node_of = self._normals.x.array.reshape(-1, self.level.mesh.geometry.dim), self.vectors.node_of
-        parts, held = self.scene.model.boundary, np.zeros(normals.shape, dtype=bool)
+        parts, held = self.model.boundary, np.zeros(normals.shape, dtype=bool)
         given = []  # by parts: nodes where u is given along the direction of an obstacle, at least in part
         for part, facets in zip(parts, self.data.facets, strict=True):
             there = node_of[self.data.dofs_on(facets)]
@@ -143,7 +143,7 @@ class Body:
             shared = [total(self.level.comm, np.count_nonzero(np.isin(nodes, there))) > 0 for nodes in given]
             others = " and ".join(f"no. {number + 1}" for number, found in enumerate(shared) if found)
             raise InputError(
-                f"{self.scene.source}: {parts[one.obstacle.part].name} obstacle has no effect where u is given along "
+                f"{self.model.source}: {parts[one.obstacle.part].name} obstacle has no effect where u is given along "
                 f"its direction, by {others}; leave out one of both, or write 'free' for this component"
             )
 
@@ -153,7 +153,7 @@ class Body:
         try:
             yield
         except HeldBeyond as error:
-            near, parts = SAME * self.data.extent, self.scene.model.boundary
+            near, parts = SAME * self.data.extent, self.model.boundary
             others = [
                 number
                 for number, part in enumerate(parts)
@@ -167,7 +167,7 @@ class Body:
             goal = "" if obstacle.force is None else " towards its force"
             moved = f", moved by {travel:.4g}{goal}," if obstacle.moves else ""
             raise InputError(
-                f"{self.scene.source}: {values} and the obstacle of {parts[obstacle.part].name}{moved} "
+                f"{self.model.source}: {values} and the obstacle of {parts[obstacle.part].name}{moved} "
                 f"exclude each other: the given u is beyond the obstacle by {error.distance:.3g} at "
                 f"{self.data.place(error.point)}; change one, or leave this place out of one of both parts"
             ) from None
@@ -222,7 +222,7 @@ class Body:
                 values = here.x.array[one.dofs]
             self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
         self.gap.x.scatter_forward()
-        self.data.refuse_infinite(self.gap, words=f"{self.scene.source}: the gap to an obstacle", none=-np.inf)
+        self.data.refuse_infinite(self.gap, words=f"{self.model.source}: the gap to an obstacle", none=-np.inf)
 
     def _at_nodes(self, one: Facing) -> np.ndarray:
         """A gap that is given, or that to a box, a table or an STL surface, at the nodes that face it (collective)."""
@@ -363,7 +363,7 @@ class Body:
                 at, share = first_given(level.comm, mine), most / found
                 assert at is not None
                 raise InputError(
-                    f"{self.scene.source}: displacements with {what} up to {found:.2g}{of_body}, at "
+                    f"{self.model.source}: displacements with {what} up to {found:.2g}{of_body}, at "
                     f"{self.data.place(at)}: elasticity is for small ones, up to {most:g}; take "
                     f"{self._admissible(share)}, a stiffer body, or an obstacle that is nearer"
                 )
@@ -371,7 +371,7 @@ class Body:
     def _faced(self, obstacle: Obstacle) -> Facing:
         """An obstacle with its nodes; sets the directions of the gap there (collective)."""
         level, gdim = self.level, self.level.mesh.geometry.dim
-        obstacle.check(gdim, axial=self.scene.model.radial)
+        obstacle.check(gdim, axial=self.model.radial)
         facets = self.data.facets[obstacle.part]
         own_facets = facets[facets < level.mesh.topology.index_map(level.mesh.topology.dim - 1).size_local]
         if total(level.comm, np.count_nonzero(~np.isin(own_facets, level.boundary_facets))) > 0:
@@ -451,10 +451,10 @@ class Body:
     def _conditions(self) -> list[Any]:
         """Dirichlet conditions of the components that are given (collective)."""
         V, mesh, found = self.vectors.V, self.level.mesh, []
-        for number, part in enumerate(self.scene.model.boundary):
+        for number, part in enumerate(self.model.boundary):
             if part.components and len(part.components) != mesh.geometry.dim:
                 wanted = f"u has {mesh.geometry.dim} components"
-                raise InputError(f"{self.scene.source}: {part.name} value: has {len(part.components)}, but {wanted}")
+                raise InputError(f"{self.model.source}: {part.name} value: has {len(part.components)}, but {wanted}")
             for k, field in enumerate(part.components):
                 if field is not None:
                     dofs = fem.locate_dofs_topological(

@@ -13,6 +13,7 @@ from fenicsx_obstacle.scenes.bodies import Body, Facing, part_of
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.functionals import Report
 from fenicsx_obstacle.scenes.report import BODY_QUANTITIES
+from fenicsx_obstacle.scenes.scene import Scene
 
 MIN_NODES_ACROSS = 3  # in contact: with fewer the pressure has no shape, and the width is that of the cells
 LOADED = 1e-9  # of the largest pressure: a node with more is in contact
@@ -24,8 +25,8 @@ INNER = 0.9  # of the half-width: the pressure at its edge says little about the
 class BodyReport(Report):
     """The [report] of a scene with an elastic body on one mesh."""
 
-    def __init__(self, body: Body):
-        super().__init__(body.data, body.scene)
+    def __init__(self, body: Body, scene: Scene):
+        super().__init__(body.data, scene)
 
     def of(self, solution: VectorSolution, known: Mapping[str, float]) -> dict[str, float | None]:
         """All output quantities, in order; None if one is not finite (collective).

@@ -22,8 +22,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.normal_flux import NormalFlux, outward_flux
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, gauss, rule
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.definitions import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
-from fenicsx_obstacle.scenes.report import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, nearest
 

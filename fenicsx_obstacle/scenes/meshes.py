@@ -15,10 +15,10 @@ from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.discrete.meshing import moved
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.definitions import Definitions
 
 
-def build(scene: Scene, comm: MPI.Comm) -> Level:
+def build(scene: Definitions, comm: MPI.Comm) -> Level:
     """The scene's mesh, refined as often as it says (collective).
 
     A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
@@ -35,7 +35,7 @@ def build(scene: Scene, comm: MPI.Comm) -> Level:
     return of_pair(level, pair)
 
 
-def coarsest(scene: Scene, comm: MPI.Comm, unknowns: float = 0) -> Level:
+def coarsest(scene: Definitions, comm: MPI.Comm, unknowns: float = 0) -> Level:
     """The level that `build` begins with, or a finer one of those that it makes (collective).
 
     Args:
@@ -52,7 +52,7 @@ def coarsest(scene: Scene, comm: MPI.Comm, unknowns: float = 0) -> Level:
     return of_pair(level, scene.pair)
 
 
-def same(one: Scene, other: Scene) -> bool:
+def same(one: Definitions, other: Definitions) -> bool:
     """Whether two scenes have the same mesh and element: they differ in data only."""
     if one.tables.mesh != other.tables.mesh or one.own_mesh is not other.own_mesh or one.pair is not other.pair:
         return False
@@ -61,15 +61,15 @@ def same(one: Scene, other: Scene) -> bool:
     return _extents(one) == _extents(other)
 
 
-def _extents(scene: Scene) -> tuple[object, ...]:
+def _extents(scene: Definitions) -> tuple[object, ...]:
     """The values of the formulas in [mesh]."""
     shape = shape_of(scene)
     return shape.lower, shape.upper, shape.h
 
 
-def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
+def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int]:
     """The coarsest level, and how often to refine it."""
-    table, curved = scene.tables.mesh, scene.model.vector_valued
+    table, curved = scene.tables.mesh, scene.of_body
     refine = table.refine
     if scene.own_mesh is not None:
         level = scene.own_mesh.level(scene.source, curved=curved)
@@ -100,13 +100,13 @@ def _begin(scene: Scene, comm: MPI.Comm) -> tuple[Level, int]:
     return level, refine
 
 
-def _cells_of_rule(scene: Scene, level: Level) -> str:
+def _cells_of_rule(scene: Definitions, level: Level) -> str:
     """The cells that the rule of the pair is for: contact of elastic bodies has the rules of facets."""
     cell = releases.cell_name(level.mesh)
-    return "triangle" if scene.model.vector_valued and cell == "tetrahedron" else cell
+    return "triangle" if scene.of_body and cell == "tetrahedron" else cell
 
 
-def shape_of(scene: Scene) -> shapes.Shape:
+def shape_of(scene: Definitions) -> shapes.Shape:
     """The recipe that [mesh] names.
 
     Raises:
@@ -140,7 +140,7 @@ def shape_of(scene: Scene) -> shapes.Shape:
     return shapes.disk(radius, table.cells)
 
 
-def _cell(scene: Scene, *kinds: str) -> str:
+def _cell(scene: Definitions, *kinds: str) -> str:
     """The kind of cell that [mesh] names, or else the first of these that the pair is for."""
     asked = scene.tables.mesh.cell
     if asked is None:

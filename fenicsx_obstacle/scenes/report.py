@@ -1,56 +1,46 @@
-"""Checks of [report] that need no mesh."""
+"""Checks of [report] and [profile] that need no mesh."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.definitions import FIELDS, JUMP, NORMAL_FLUX, RESERVED, Definitions
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, parse
 from fenicsx_obstacle.text import counted, nearest
 
-if TYPE_CHECKING:
-    from fenicsx_obstacle.scenes.scene import Scene
-
-NORMAL_FLUX = "normal_flux"  # tension du/dn: on a part of the boundary only
-JUMP = "jump"  # of tension du/dn across a curve inside
-FIELDS = ("u", "p", "contact", "slope", "flux", NORMAL_FLUX, JUMP)
 # of elastic bodies: fields, and numbers that are known without a functional
 BODY_FIELDS = ("u_x", "u_y", "u_z", "p", "contact", "von_mises")
 BODY_QUANTITIES = ("force_x", "force_y", "force_z", "moment", "moment_x", "moment_y", "moment_z", "contact_area",
                    "half_width", "peak", "approach")  # fmt: skip
+DRAWN, DRAWN_OF_BODIES = ("u", "p"), ("u_x", "u_y", "u_z", "gap", "p", "von_mises")  # what a plot of a line can show
 _DIMENSIONS = {"interval": 1, "rectangle": 2, "disk": 2, "l-shape": 2, "box": 3}
 
 
-def parse_report(scene: Scene, entries: Mapping[str, float | str], reserved: set[str]) -> dict[str, Formula]:
+def parse_report(scene: Definitions) -> dict[str, Formula]:
     """The formulas of [report], in order.
-
-    Args:
-        scene: With its definitions.
-        entries: The table.
-        reserved: Names with a meaning already.
 
     Raises:
         InputError: Naming the entry and the column.
     """
     found, quantities = dict[str, Formula](), _quantities(scene)
-    for name, value in entries.items():
+    for name, value in scene.tables.report.items():
         place = f"{scene.source}: [report] {name}"
         if not name.isidentifier():
             raise InputError(f"{place}: a name has letters, digits and _ only")
         formula = parse(value, place, functionals=True)
         itself = formula.text == name and name in quantities  # in the output under its own name
-        if (name in reserved | quantities and not itself) or name in scene.define:
+        if (name in RESERVED | quantities and not itself) or name in scene.define:
             raise InputError(f"{place}: '{name}' has a meaning already; choose another name")
         _Checker(scene, formula, set(found)).check(formula.tree, inside=False)
         found[name] = formula
     return found
 
 
-def _quantities(scene: Scene) -> set[str]:
+def _quantities(scene: Definitions) -> set[str]:
     """Names of numbers that are known without a functional."""
-    if not scene.model.vector_valued:
+    if not scene.of_body:
         return set()
     for name in (*BODY_FIELDS, *BODY_QUANTITIES):
         if name in scene.define:
@@ -61,9 +51,9 @@ def _quantities(scene: Scene) -> set[str]:
 class _Checker:
     """Names and arities of one entry; `earlier` are the entries before it."""
 
-    def __init__(self, scene: Scene, formula: Formula, earlier: set[str]):
+    def __init__(self, scene: Definitions, formula: Formula, earlier: set[str]):
         self.formula, self.dimension = formula, _DIMENSIONS.get(scene.tables.mesh.shape or "")
-        fields, numbers = BODY_FIELDS if scene.model.vector_valued else FIELDS, earlier | _quantities(scene)
+        fields, numbers = BODY_FIELDS if scene.of_body else FIELDS, earlier | _quantities(scene)
         self.varying = {*scene.known_names, *fields, *numbers}
         self.constant = {name for name in scene.known_names if scene.is_constant(name)} | numbers
 
@@ -100,3 +90,36 @@ class _Checker:
         else:
             message = f"unknown name '{name}'" + nearest(name, self.varying)
         raise InputError(self.formula.pointing(node, message))
+
+
+def compare_place(name: str) -> str:
+    """The name of the formulas of a profile in messages."""
+    return f"[profile.{name}] compare"
+
+
+def check_profiles(scene: Definitions) -> None:
+    """Reject formulas of comparison of unknown quantities or with unknown names.
+
+    Raises:
+        InputError: Naming the profile.
+    """
+    for name, table in scene.tables.profile.items():
+        check_formulas(scene, table.compare, compare_place(name))
+
+
+def check_formulas(scene: Definitions, given: Mapping[str, float | str], place: str) -> None:
+    """The same of some formulas.
+
+    Args:
+        scene: Whose definitions they may use.
+        given: Formulas by the quantity over which they are drawn.
+        place: Where they stand, for messages.
+
+    Raises:
+        InputError: Naming the formula.
+    """
+    known = DRAWN_OF_BODIES if scene.of_body else DRAWN
+    for key, value in given.items():
+        if key not in known:
+            raise InputError(f"{scene.source}: {place} {key}: no quantity of this name{nearest(key, known)}")
+        scene.formula(value, f"{place} {key}").check_names(scene.known_names - {"distance"})

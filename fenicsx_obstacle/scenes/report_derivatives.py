@@ -19,9 +19,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import sides
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.scenes.definitions import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
 from fenicsx_obstacle.scenes.functionals import Report, _name, _parts
-from fenicsx_obstacle.scenes.report import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.scene import Scene
 
 STEP = 1e-5  # relative, of central differences

@@ -204,6 +204,11 @@ class Tables(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     solve: SolveTable = SolveTable()
 
 
+def part_place(number: int) -> str:
+    """The name of a [[boundary]] in messages; `number` counts from 0."""
+    return f"[[boundary]] (no. {number + 1})"
+
+
 def data_table(raw: dict[str, Any], place: str) -> DataTable:
     """A table of measured data among the values of [effects], typed.
 
@@ -356,7 +361,7 @@ def _place(path: str) -> str:
     """'mesh.cells' -> '[mesh] cells ', 'boundary[0].on' -> '[[boundary]] (no. 1) on '."""
     table, _, key = path.partition(".")
     if match := re.match(r"boundary\[(\d+)\]", table):
-        table = f"[[boundary]] (no. {int(match[1]) + 1})"
+        table = part_place(int(match[1]))
     elif key or table in Tables.__struct_fields__[2:]:
         table = f"[{table}]"
     return " ".join(part for part in (table, key) if part) + (" " if path else "")

@@ -23,11 +23,10 @@ from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.discrete.meshing import GEOMETRY
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, known
-from fenicsx_obstacle.scenes.boundary_table import part_place
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable
+from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable, part_place
 from fenicsx_obstacle.show.steps import steps_of
 from fenicsx_obstacle.text import counted, plain, title_of
 

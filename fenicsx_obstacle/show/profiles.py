@@ -14,7 +14,7 @@ from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, compa
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
-from fenicsx_obstacle.scenes.profile_table import DRAWN_OF_BODIES, check_formulas, compare_place
+from fenicsx_obstacle.scenes.report import DRAWN_OF_BODIES, check_formulas, compare_place
 from fenicsx_obstacle.show.figures import (
     ABOVE,
     BLUE,
