@@ -59,7 +59,7 @@ _HOME = {
     "penalty": "forms.penalty",
     "ball_gap": "forms.elasticity",
     "compare": "answers.difference",
-    "solve": "answers.adapt",
+    "solve": "answers.solve",
     "solve_system": "algebra.solve_system",
     "study": "studies.convergence",
 }

@@ -66,7 +66,7 @@ def solve(
     scene = _read(scene_file, typed(given))  # a mistake in it is told before finite elements are loaded
     if newton:
         scene.only_scalar("--newton")
-    from fenicsx_obstacle.answers.adapt import solve
+    from fenicsx_obstacle.answers.solve import solve
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_command

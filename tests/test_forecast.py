@@ -6,7 +6,8 @@ from contextlib import closing
 import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.adapt import Adaptation, Work, adaptation
+from fenicsx_obstacle.answers.adapt import Adaptation, Work
+from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import forget_peak_memory
 from fenicsx_obstacle.scenes import catalogue

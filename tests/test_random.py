@@ -173,7 +173,7 @@ def test_certificates(words, guaranteed, total, held):
 
 def false(scene, value, judgement, monkeypatch):
     """Judge an answer to a scene whose values are replaced."""
-    from fenicsx_obstacle.answers.adapt import solve
+    from fenicsx_obstacle.answers.solve import solve
 
     def solved(*given, **more):
         answer = solve(*given, **more)

@@ -9,7 +9,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import solve
+from fenicsx_obstacle.answers.solve import solve
 from tests.conftest import COMM, slow_except
 from tests.random.families.anisotropic import Anisotropic
 from tests.random.families.axial import Axial

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from fenicsx_obstacle.answers.adapt import solve
+from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.checkout import DEMOS, require
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.report import Say, report_answer, report_study

@@ -17,7 +17,8 @@ from itertools import pairwise
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work, adaptation
+from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work
+from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.memory import free_megabytes

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.linear import defaults
-from fenicsx_obstacle.answers.adapt import solve
+from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem

@@ -12,8 +12,8 @@ from typing import Any, ClassVar, TypeVar
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import solve
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.errors import InputError, ObstacleError
 from fenicsx_obstacle.scenes.scene import Scene
 
