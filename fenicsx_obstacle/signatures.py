@@ -21,6 +21,28 @@ _WORDS = {float: "a number", int: "a whole number", str: "a text", bool: "True o
           Path: "a path"}  # fmt: skip
 
 
+def names_checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorator: reject unknown keywords, and positional arguments that must have a keyword; types are not checked."""
+    name, parameters = function.__qualname__.removesuffix(".__init__"), inspect.signature(function).parameters.values()
+    open_ended = any(one.kind == inspect.Parameter.VAR_KEYWORD for one in parameters)
+    keywords = [one.name for one in parameters if one.kind == inspect.Parameter.KEYWORD_ONLY]
+    positional = [one.name for one in parameters if one.kind == inspect.Parameter.POSITIONAL_OR_KEYWORD]
+    known = [one for one in (*positional, *keywords) if one not in ("self", "cls")]
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> T:
+        for key in kwargs:
+            if key not in known and not open_ended:
+                raise InputError(f"{name}: there is no argument '{key}'" + nearest(key, known))
+        if len(args) > len(positional) and keywords:
+            without = " and ".join(one for one in positional if one in known)
+            which = f"all arguments except {without}" if without else "all arguments"
+            raise InputError(f"{name}: {which} need a keyword, such as {keywords[0]}=")
+        return function(*args, **kwargs)
+
+    return call
+
+
 def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Decorator: check the names and types of the arguments of a function.
 
@@ -29,62 +51,24 @@ def checked(**expected: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
-        signature = inspect.signature(function)
-        named = [name for name, one in signature.parameters.items() if one.kind != inspect.Parameter.VAR_KEYWORD]
-        name = function.__qualname__
-        check_names = _check_names(name, signature)
+        signature, name = inspect.signature(function), function.__qualname__
 
         @cache
         def kinds() -> dict[str, Any]:
-            kept = (signature.parameters[key] for key in named)
-            return {one.name: eval(one.annotation, function.__globals__) for one in kept if one.annotation != one.empty}
+            kept = [one for one in signature.parameters.values() if one.annotation != one.empty]
+            return {one.name: eval(one.annotation, function.__globals__) for one in kept}
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:
-            check_names(args, kwargs)
-            given = signature.bind(*args, **kwargs).arguments
-            for key, kind in kinds().items():
-                if key in given and not _fits(given[key], kind):
-                    raise InputError(
-                        f"{name}: {key} = {shown(given[key])}: expected {expected.get(key) or _words(kind)}"
-                    )
+            for key, value in signature.bind(*args, **kwargs).arguments.items():
+                kind = kinds().get(key, Any)
+                if not _fits(value, kind):
+                    raise InputError(f"{name}: {key} = {shown(value)}: expected {expected.get(key) or _words(kind)}")
             return function(*args, **kwargs)
 
-        return call
+        return names_checked(call)
 
     return decorate
-
-
-def names_checked(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorator: check the names of the arguments of a function, but not their types."""
-    check_names = _check_names(function.__qualname__.removesuffix(".__init__"), inspect.signature(function))
-
-    @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        check_names(args, kwargs)
-        return function(*args, **kwargs)
-
-    return call
-
-
-def _check_names(name: str, signature: inspect.Signature) -> Callable[[tuple[Any, ...], Mapping[str, Any]], None]:
-    """A function that rejects unknown keywords, and positional arguments that must have a keyword."""
-    parameters = signature.parameters.values()
-    named = [one.name for one in parameters if one.kind != inspect.Parameter.VAR_KEYWORD]
-    keywords = [one.name for one in parameters if one.kind == inspect.Parameter.KEYWORD_ONLY]
-    positional = [one for one in named if one not in keywords]
-    known = [one for one in named if one not in ("self", "cls")]
-
-    def check(args: tuple[Any, ...], kwargs: Mapping[str, Any]) -> None:
-        for key in kwargs:
-            if key not in named and len(named) == len(parameters):
-                raise InputError(f"{name}: there is no argument '{key}'" + nearest(key, known))
-        if len(args) > len(positional) and keywords:
-            without = " and ".join(one for one in positional if one in known)
-            which = f"all arguments except {without}" if without else "all arguments"
-            raise InputError(f"{name}: {which} need a keyword, such as {keywords[0]}=")
-
-    return check
 
 
 def _options(kind: Any) -> tuple[Any, ...]:
