@@ -6,8 +6,9 @@ A functional needs values of Lagrange functions at chosen places of chosen cells
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -30,6 +31,23 @@ from fenicsx_obstacle.text import counted, nearest
 EQUAL = 1e-9  # relative difference of values that count as the same extreme
 FEW_POINTS = 12  # of quadrature in a cell
 GAUSS_POINTS = 4  # along each axis of quadrilaterals and hexahedra: exact for degree 7
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points in cells, in each the same number.
+
+    Attributes:
+        cells: The cells, shape (n,).
+        where: Weights of their vertices at the points, shape (n or 1, points, vertices).
+        sizes: What the points stand for in an integral, shape (n, points).
+        on_facets: What facets alone have, by its name.
+    """
+
+    cells: np.ndarray
+    where: np.ndarray
+    sizes: np.ndarray = field(default_factory=lambda: np.empty(0))
+    on_facets: Mapping[str, Callable[[], np.ndarray]] = field(default_factory=dict)
 
 
 class Report:
@@ -122,19 +140,16 @@ class Report:
     def functional(self, formula: Formula, call: ast.Call) -> float:
         """Value of integral, at, sup or inf; those within it have become numbers already (collective)."""
         expression = formula.part(call.args[0])
-        match _name(call), call.args[1:]:
-            case "integral", []:
-                return self._over_cells(expression, self._every)
-            case "integral", [ast.Constant(value=str(name))]:
-                if self.over_cells(expression, name):
-                    return self._over_cells(expression, self.level.groups[name])
-                return self._over_facets(expression, self.level.facets[name])
-            case "integral", [ast.Constant(value=str(name)), ast.Constant(value=str(side))]:
-                return self._over_facets(expression, self.level.facets[name], self.level.groups[side])
-            case "at", coordinates:
-                rows, cells, weights = self._locate(formula, call, coordinates)
-                values = self._inside(expression, cells, weights[:, None])[:, 0]
-                return float(mean_over_cells(self.level.comm, 1, rows, values)[0])
+        if _name(call) == "integral":
+            sums = [
+                (self._inside(expression, points) * points.sizes).sum(axis=1)
+                for points in self.quadrature(expression, call)
+            ]
+            return total(self.level.comm, np.concatenate(sums))
+        if _name(call) == "at":
+            rows, cells, weights = self._locate(formula, call, call.args[1:])
+            values = self._inside(expression, Points(cells, weights[:, None]))[:, 0]
+            return float(mean_over_cells(self.level.comm, 1, rows, values)[0])
         return self._extreme(expression, 1.0 if _name(call) == "sup" else -1.0)
 
     def _extreme(self, expression: Formula, sign: float) -> float:
@@ -142,7 +157,7 @@ class Report:
         nodes = self._reference.nodes(self.level.V)[None]
         mine: list[tuple[float, list[float]]] = []
         for block in _parts(self._every):
-            values = sign * self._inside(expression, block, nodes)
+            values = sign * self._inside(expression, Points(block, nodes))
             if not values.size:
                 continue
             if np.isnan(values).any():
@@ -177,17 +192,19 @@ class Report:
         at = np.prod(np.where(corner[None] == 1, points[:, None], 1 - points[:, None]), axis=2)
         return at, np.prod(np.stack(np.meshgrid(*[weights] * dim, indexing="ij"), axis=-1).reshape(-1, dim), axis=1)
 
-    def _over_cells(self, expression: Formula, cells: np.ndarray) -> float:
+    def quadrature(self, expression: Formula, call: ast.Call) -> Iterator[Points]:
+        """The points of the integral of an expression that a call names."""
+        names = [str(node.value) for node in call.args[1:] if isinstance(node, ast.Constant)]
+        if names and (len(names) > 1 or not self.over_cells(expression, names[0])):
+            yield self._on_facets(self.level.facets[names[0]], self.level.groups[names[1]] if len(names) > 1 else None)
+            return
         points, weights = self._rule()
-        parts = [
-            (self._inside(expression, block, points[None]) * self._reference.measures(block, points[None])) @ weights
-            for block in _parts(cells, len(weights))
-        ]
-        return total(self.level.comm, np.concatenate(parts))
+        for block in _parts(self.level.groups[names[0]] if names else self._every, len(weights)):
+            yield Points(block, points[None], self._reference.measures(block, points[None]) * weights)
 
-    def _over_facets(self, expression: Formula, facets: np.ndarray, seen_from: np.ndarray | None = None) -> float:
-        """Integral over facets; slope and flux on a curve inside are means of both sides, the normal flux and the jump
-        their sums. From some cells alone it is what is there, and the normal flux is that of the gradient."""
+    def _on_facets(self, facets: np.ndarray, seen_from: np.ndarray | None) -> Points:
+        """Points on facets. On a curve inside slope and flux are means of both sides, the normal flux and the jump
+        their sums. From some cells alone they are what is there, and the normal flux is that of the gradient."""
         cells, numbers, shares = sides(self.level.mesh, facets)
         if seen_from is not None:
             kept = np.isin(cells, seen_from)
@@ -202,40 +219,30 @@ class Report:
         if self._normal is not None and seen_from is None:
             normal = partial(self._normal.values, cells, numbers, shares, inside)
         on_facets = {NORMAL_FLUX: normal, JUMP: lambda: of_gradient() / shares[:, None]}
-        return total(self.level.comm, sizes * self._inside(expression, cells, inside, on_facets))
+        return Points(cells, inside, sizes, on_facets)
 
-    def _inside(
-        self, expression: Formula, cells: np.ndarray, where: np.ndarray,
-        on_facets: Mapping[str, Callable[[], np.ndarray]] | None = None,
-    ) -> np.ndarray:  # fmt: skip
-        """Values in cells, shape (cells, points), at weights of their vertices, shape (cells or 1, points, vertices).
+    def _inside(self, expression: Formula, points: Points) -> np.ndarray:
+        """Values at points, shape (cells, points); collective where it is the first to need the distance."""
+        shape, values = self.fields(expression, points)
+        return self.pointwise(expression, points, values).reshape(shape)
 
-        Collective where it is the first to need the distance. `on_facets` gives what facets alone have.
-        """
-        shape, values = self.fields(expression, cells, where, on_facets)
-        return self.pointwise(expression, cells, where, values).reshape(shape)
-
-    def fields(
-        self, expression: Formula, cells: np.ndarray, where: np.ndarray,
-        on_facets: Mapping[str, Callable[[], np.ndarray]] | None = None,
-    ) -> tuple[tuple[int, int], dict[str, np.ndarray]]:  # fmt: skip
+    def fields(self, expression: Formula, points: Points) -> tuple[tuple[int, int], dict[str, np.ndarray]]:
         """The fields that an expression needs, each flat, and the shape of the points, as `_inside` has them."""
-        shape, values_of = (len(cells), where.shape[1]), self._reference.values
+        cells, where, values_of = points.cells, points.where, self._reference.values
+        shape = len(cells), where.shape[1]
         known: dict[str, Callable[[], np.ndarray]] = {
             **{name: partial(values_of, function, cells, where) for name, function in self._nodal.items()},
             "distance": lambda: values_of(self.data.distance, cells, where),
             "slope": lambda: self._slope(cells, where),
             "flux": lambda: self._tension(cells, where) * self._slope(cells, where),
-            **(on_facets or {}),
+            **points.on_facets,
         }
         named = sorted(self.scene.needs(expression) & set(known))  # in the same order on every rank
         return shape, {name: np.broadcast_to(known[name](), shape).ravel() for name in named}
 
-    def pointwise(
-        self, expression: Formula, cells: np.ndarray, where: np.ndarray, values: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
+    def pointwise(self, expression: Formula, points: Points, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Values of an expression, flat, from those of its fields."""
-        x = (where @ self._corners[cells]).reshape(-1, 3).T
+        x = (points.where @ self._corners[points.cells]).reshape(-1, 3).T
         return self.scene.at_points(expression, x, {**self.data.now, **self.values, **values})
 
     def _slope(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:

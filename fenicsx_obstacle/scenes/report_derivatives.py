@@ -8,20 +8,18 @@ differences, so that any formula will do whose derivative exists.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
-from functools import partial
 
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import sides
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.definitions import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
-from fenicsx_obstacle.scenes.functionals import Report, _name, _parts
+from fenicsx_obstacle.scenes.functionals import Points, Report, _name
 from fenicsx_obstacle.scenes.scene import Scene
 
 STEP = 1e-5  # relative, of central differences
@@ -113,46 +111,22 @@ class DifferentiableReport(Report):
         expression = formula.part(call.args[0])
         if _name(call) == "at":
             _, cells, weights = self._locate(formula, call, call.args[1:])
-            share = np.full((len(cells), 1), factor / total(self.level.comm, len(cells)))
-            self._add_cells(expression, cells, weights[:, None], share, {})
+            shares = np.full((len(cells), 1), 1.0 / total(self.level.comm, len(cells)))
+            self._add_points(expression, Points(cells, weights[:, None], shares), factor)
             return
-        part = [str(node.value) for node in call.args[1:] if isinstance(node, ast.Constant)]
-        if part and (len(part) > 1 or not self.over_cells(expression, part[0])):
-            seen_from = self.level.groups[part[1]] if len(part) > 1 else None
-            self._add_facets(expression, self.level.facets[part[0]], seen_from, factor)
-            return
-        points, weights = self._rule()
-        for block in _parts(self.level.groups[part[0]] if part else self._every, len(weights)):
-            sizes = factor * self._reference.measures(block, points[None]) * weights
-            self._add_cells(expression, block, points[None], sizes, {})
+        for points in self.quadrature(expression, call):
+            self._add_points(expression, points, factor)
 
-    def _add_facets(
-        self, expression: Formula, facets: np.ndarray, seen_from: np.ndarray | None, factor: float
-    ) -> None:  # fmt: skip
-        cells, numbers, shares = sides(self.level.mesh, facets)
-        if seen_from is not None:
-            kept = np.isin(cells, seen_from)
-            cells, numbers, shares = cells[kept], numbers[kept], np.ones(np.count_nonzero(kept))
-        points, weights = self._facet_rule()
-        inside = self._reference.on_facets(numbers, points)
-        sizes = factor * shares[:, None] * self._reference.facet_measures(cells, numbers, points) * weights
-        flux: dict[str, Callable[[], np.ndarray]] = {}
-        if self._normal is not None:
-            flux[NORMAL_FLUX] = partial(self._normal.values, cells, numbers, shares, inside)
-        self._add_cells(expression, cells, inside, sizes, flux)
-
-    def _add_cells(
-        self, expression: Formula, cells: np.ndarray, where: np.ndarray, sizes: np.ndarray,
-        on_facets: Mapping[str, Callable[[], np.ndarray]],
-    ) -> None:  # fmt: skip
-        """Add the sum over points of the derivative of an expression, times sizes of shape (cells, points)."""
-        shape, values = self.fields(expression, cells, where, on_facets)
+    def _add_points(self, expression: Formula, points: Points, factor: float) -> None:
+        """Add the sum over points of the derivative of an expression, times their sizes and a factor."""
+        shape, values = self.fields(expression, points)
+        cells, where, sizes = points.cells, points.where, factor * points.sizes
         of_space, dofs = self._reference.of(self.level.V), releases.cell_dofs(self.level.V)[cells]
         phi = of_space.values(where @ self._reference.vertices)
         phi = np.broadcast_to(phi, (*shape, phi.shape[2]))
         for name in set(values) - {"distance"}:
             step = STEP * np.where(values[name] != 0, np.abs(values[name]), 1.0)
-            ends = [self.pointwise(expression, cells, where, {**values, name: values[name] + way * step})
+            ends = [self.pointwise(expression, points, {**values, name: values[name] + way * step})
                     for way in (1, -1)]  # fmt: skip
             slope = sizes * ((ends[0] - ends[1]) / (2 * step)).reshape(shape)
             if name in ("u", "p", NORMAL_FLUX):
