@@ -41,11 +41,6 @@ class Answer(Solution):
     time_history: TimeHistory | None = None
 
     @property
-    def report(self) -> dict[str, float | None]:
-        """The values of the scene's [report], in its units; None if not finite."""
-        return dict(self.record.get("report", {}))
-
-    @property
     def symbol(self) -> str:
         return self.scene.tables.u
 
@@ -62,10 +57,9 @@ class Answer(Solution):
         if element and self.scene.mesh is not None:
             contents |= own_mesh(self.level, mesh["points"], element["cells"], parts)
         if self.time_history is not None:
-            from fenicsx_obstacle.answers.frames import files_of  # only where a scene has time
             from fenicsx_obstacle.io.folder import history_csv
 
-            contents |= {NEWTON: history_csv(self.history), **files_of(self.time_history, mesh)}
+            contents |= {NEWTON: history_csv(self.history), **self.time_history.files(mesh)}
         return contents
 
     def _scene_in(self, folder: Path) -> Scene:
@@ -122,7 +116,7 @@ class Answer(Solution):
             answer = cls(**saved.fields, scene=scene)
         if "time" not in answer.record:
             return answer
-        from fenicsx_obstacle.answers.frames import load_course
+        from fenicsx_obstacle.answers.time_history import TimeHistory  # only where a scene has time
 
-        time_history = on_root(comm, lambda: load_course(folder, len(saved.mesh["points"])))
+        time_history = on_root(comm, lambda: TimeHistory.read(folder, len(saved.mesh["points"])))
         return replace(answer, time_history=time_history.renumbered(saved.mesh, gather(answer)))

@@ -5,13 +5,12 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.answers.steps import Steps
-from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, from_arrays, renumbered, to_arrays
+from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays, to_arrays
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.time_discretization import INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError
@@ -65,11 +64,12 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
         InputError: If there is none, or it is of another mesh or another kind of scene.
     """
     place, comm = folder / NAME, level.comm
-    stored, rows, frames = on_root(comm, _load, place)
+    stored, time_history = on_root(comm, _load, place)
     points = gathered(comm, level.points.T[: level.owned])
-    frames = (
-        renumbered(frames, stored, {} if points is None else {"points": points}) if level.pair.nested_hierarchy else []
-    )  # others' are on cut cells
+    if level.pair.nested_hierarchy:
+        time_history = time_history.renumbered(stored, {} if points is None else {"points": points})
+    else:  # they are on cut cells
+        time_history = TimeHistory(time_history.rows, ())
     distance, found = cKDTree(stored["points"]).query(level.points.T)
     elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs
     with agree(comm):
@@ -85,10 +85,10 @@ def read(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps
     steps.eps = float(stored["eps"]) if "eps" in stored else None
     if steps.times[0] >= moments.end * (1 - NO_STEP):
         raise InputError(f"{place}: stands at {moments.name} = {steps.times[0]:g} already; set a later [time] end")
-    return steps, TimeHistory(tuple(rows), tuple(frames))
+    return steps, time_history
 
 
-def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], list[Frame]]:
+def _load(place: Path) -> tuple[dict[str, np.ndarray], TimeHistory]:
     try:
         content = io.BytesIO(place.read_bytes())
     except (OSError, ValueError) as error:
@@ -109,6 +109,6 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], list[dict[str, Any]], lis
             raise ValueError("its eps is none")
         if not isinstance(rows, list) or not all(isinstance(row, dict) and {"step", "t"} <= set(row) for row in rows):
             raise ValueError("its rows are none")
-        return found, rows, from_arrays(frames, count)
+        return found, TimeHistory(tuple(rows), tuple(from_arrays(frames, count)))
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: is damaged: {error}") from None

@@ -1,4 +1,7 @@
-"""Results of a scene with [time]: a row of output quantities for each step, and fields at the saved times."""
+"""Results of a scene with [time]: a row of output quantities for each step, and fields at the saved times.
+
+A saved answer has the rows in history.csv, and the fields in files for ParaView.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,15 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.io.paraview import BY_CELL
+from fenicsx_obstacle.hdf5 import arrays
+from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, Array, to_hdf5, xdmf
 from fenicsx_obstacle.text import nearest
 
 Row = Mapping[str, Any]
@@ -59,8 +64,53 @@ class TimeHistory:
         return np.array([np.nan if (value := row.get(name)) is None else value for row in self.rows], dtype=float)
 
     def renumbered(self, old: Mapping[str, np.ndarray], new: Mapping[str, np.ndarray]) -> TimeHistory:
-        """With frames in the order of the points and cells `new`, whose values were in that of `old`."""
-        return TimeHistory(self.rows, tuple(renumbered(self.frames, old, new)))
+        """With frames in the order of another numbering of the same mesh; empty ones where there is none.
+
+        Args:
+            old: `points` and, of fields by cell, `cells` in the order of the frames.
+            new: The same in the other order.
+        """
+        if not new:
+            return TimeHistory(self.rows, tuple(Frame(frame.t, {}) for frame in self.frames))
+        order = {False: cKDTree(old["points"]).query(new["points"])[1]}
+        if any(name in frame.fields for frame in self.frames for name in BY_CELL):
+            before, after = (mesh["points"][mesh["cells"]].mean(axis=1) for mesh in (old, new))
+            order[True] = cKDTree(before).query(after)[1]
+        frames = [Frame(one.t, {name: values[order[name in BY_CELL]] for name, values in one.fields.items()})
+                  for one in self.frames]  # fmt: skip
+        return TimeHistory(self.rows, tuple(frames))
+
+    def files(self, mesh: Mapping[str, Array]) -> dict[str, bytes]:
+        """Its files by their names (one rank).
+
+        Args:
+            mesh: `points` and `cells` of the answer.
+        """
+        files = {"history.csv": to_csv(self.rows).encode()}
+        if self.frames:
+            moments: dict[float | None, Mapping[str, Array]] = {frame.t: frame.fields for frame in self.frames}
+            files |= dict(zip(FRAMES, (to_hdf5(to_arrays(self.frames)), xdmf(mesh, moments).encode()), strict=True))
+        return files
+
+    @classmethod
+    def read(cls, folder: Path, count: int) -> TimeHistory:
+        """That of a saved answer (one rank).
+
+        Args:
+            folder: Of the answer.
+            count: Number of nodes, each of which has a value in each field.
+
+        Raises:
+            InputError: If it is not there, or damaged.
+        """
+        frames: list[Frame] = []
+        try:
+            rows = from_csv((folder / "history.csv").read_text(encoding="utf-8"))
+            if (folder / FRAMES[0]).exists():
+                frames = from_arrays(arrays(folder / FRAMES[0]), count)
+        except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+            raise InputError(f"{folder}: the saved answer is damaged: its time history: {error}") from None
+        return cls(rows, tuple(frames))
 
 
 def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:
@@ -82,24 +132,6 @@ def from_arrays(found: Mapping[str, np.ndarray], count: int) -> list[Frame]:
             raise ValueError(f"'{path}' has shape {values.shape} of {values.dtype}, not {count} numbers")
         frames.setdefault(number, {})[name] = values
     return [Frame(float(one.pop("t")), one) for one in frames.values()]
-
-
-def renumbered(frames: Sequence[Frame], old: Mapping[str, np.ndarray], new: Mapping[str, np.ndarray]) -> list[Frame]:
-    """Frames in the order of another numbering of the same mesh; empty ones where there is none.
-
-    Args:
-        frames: Nodal fields, and fields by cell.
-        old: `points` and, of fields by cell, `cells` in the order of the frames.
-        new: The same in the other order.
-    """
-    if not new:
-        return [Frame(frame.t, {}) for frame in frames]
-    order = {False: cKDTree(old["points"]).query(new["points"])[1]}
-    if any(name in frame.fields for frame in frames for name in BY_CELL):
-        before, after = (mesh["points"][mesh["cells"]].mean(axis=1) for mesh in (old, new))
-        order[True] = cKDTree(before).query(after)[1]
-    return [Frame(one.t, {name: values[order[name in BY_CELL]] for name, values in one.fields.items()})
-            for one in frames]  # fmt: skip
 
 
 def to_csv(rows: Sequence[Row]) -> str:

@@ -143,9 +143,9 @@ class Solution:
         return self.record["dofs"]
 
     @property
-    def report(self) -> Mapping[str, float | None]:
-        """The values of [report] by name; None if a value is not finite."""
-        return self.record.get("report") or {}
+    def report(self) -> dict[str, float | None]:
+        """The values of the scene's [report] by name, in its units; None if a value is not finite."""
+        return dict(self.record.get("report") or {})
 
     @property
     def errors(self) -> Errors | None:
