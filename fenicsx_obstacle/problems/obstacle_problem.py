@@ -6,12 +6,12 @@ import numbers
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import garbage, releases
@@ -20,7 +20,8 @@ from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.penalty_parameter import NoPositiveDiagonal
-from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step, StepMonitor
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of
 from fenicsx_obstacle.discrete.levels import Level, of_space
@@ -158,80 +159,54 @@ class ObstacleProblem:
             InputError: If an argument is invalid, or no u can satisfy the data.
         """
         check_unknown(u, self.name, lower=lower, upper=upper, of=of, stress=stress)
-        V = u.function_space
-        vector_valued = V.dofmap.index_map_bs > 1
-        if not vector_valued:
-            facets = None if measure is None else facets_of(measure, V.mesh, self.name)
-            level = of_space(V, self.name, None if facets is None else {"contact": facets})
-        with agree(V.mesh.comm):
-            check_form(F, u, f"{self.name}: F", arguments=1)
+        V, name = u.function_space, self.name
+        mesh, compiled = V.mesh, (form_compiler_options, jit_options)
+        self._vector_valued = V.dofmap.index_map_bs > 1
+        if not self._vector_valued:
+            facets = None if measure is None else facets_of(measure, mesh, name)
+            level = of_space(V, name, None if facets is None else {"contact": facets})
+        with agree(mesh.comm):
+            check_form(F, u, f"{name}: F", arguments=1)
             if energy is not None:
-                check_form(energy, u, f"{self.name}: energy", arguments=0)
+                check_form(energy, u, f"{name}: energy", arguments=0)
             if J is not None:
-                check_form(J, u, f"{self.name}: J", arguments=2)
-            sides = {
-                name: None if g is None else obstacle(g, u, f"{self.name}: {name}")
-                for name, g in (("lower", lower), ("upper", upper))
-            }
-            held = conditions(bcs, V, self.name)
-        for name, given in (("F", F), ("energy", energy), ("J", J)):
-            for integral in () if given is None else given.integrals():
-                check_measure(integral, V.mesh, f"{self.name}: {name}: a measure")
-            if given is not None:
-                check_tagged(given, V.mesh, f"{self.name}: {name}")
-        warn_of_conditions(held, V.mesh.comm, self.name)
-        form = ResidualForm(F=F, u=u, functional=energy, J=J)
+                check_form(J, u, f"{name}: J", arguments=2)
+            given = {key: g for key, g in (("lower", lower), ("upper", upper)) if g is not None}
+            sides: dict[str, Any] = {key: obstacle(g, u, f"{name}: {key}") for key, g in given.items()}
+            held = conditions(bcs, V, name)
+        for key, form in (("F", F), ("energy", energy), ("J", J)):
+            if form is not None:
+                for integral in form.integrals():
+                    check_measure(integral, mesh, f"{name}: {key}: a measure")
+                check_tagged(form, mesh, f"{name}: {key}")
+        warn_of_conditions(held, mesh.comm, name)
+        residual = ResidualForm(F=F, u=u, functional=energy, J=J)
         if not isinstance(petsc_options_prefix, str):
-            raise InputError(f"{self.name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
-        checked_options(form_compiler_options, f"{self.name}: form_compiler_options", "{'scalar_type': 'float64'}")
-        checked_options(jit_options, f"{self.name}: jit_options", "{'cffi_extra_compile_args': ['-O2']}")
-        compiled = (form_compiler_options, jit_options)
+            raise InputError(f"{name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
+        checked_options(form_compiler_options, f"{name}: form_compiler_options", "{'scalar_type': 'float64'}")
+        checked_options(jit_options, f"{name}: jit_options", "{'cffi_extra_compile_args': ['-O2']}")
         with releases.compiled_with(*compiled):
-            check_integrals(form, held, self.name)
-        data: Data
-        if vector_valued:
-            data = self._vector_data(form, sides, held, of, measure)
-            self._set_stress(stress, V.mesh, compiled)
+            check_integrals(residual, held, name)
+        on_facets = Model((residual,), boundary=(Part("measure", ("contact",), **sides),), source=name)
+        if self._vector_valued:  # a scalar problem does not load this
+            from fenicsx_obstacle.discrete.contact_nodes import VectorData, of_vector_space
+            from fenicsx_obstacle.problems.vector_valued import VonMises, facets_and_weight
+
+            facets, weight = facets_and_weight(measure, mesh, name)
+            if of is None:
+                raise InputError(f"{name}: u is vector-valued: say what the obstacles bound, of=ufl.dot(u, n)")
+            nodes = of_vector_space(V, name, {"contact": facets})
+            data: Data = VectorData(on_facets, nodes, held, of=of, u=u, weight=weight)
+            with releases.compiled_with(*compiled):
+                self._von_mises = None if stress is None else VonMises(stress, mesh, name)
         else:
-            where: dict[str, Any] = (
-                sides
-                if facets is None
-                else {"boundary": (Part("measure", ("contact",), lower=sides["lower"], upper=sides["upper"]),)}
-            )
-            model = Model((form,), source=self.name, **where)
+            model = Model((residual,), **sides, source=name) if facets is None else on_facets
             data = Data(model, level, bcs=held, live=True)
-        with naming_compiler_errors(V.mesh.comm, self.name):
-            self._set_up(data, u, form, petsc_options_prefix, petsc_options, compiled)
+        with naming_compiler_errors(mesh.comm, name):
+            self._set_up(data, u, residual, petsc_options_prefix, petsc_options, compiled)
             if energy is not None:
                 with releases.compiled_with(*compiled):
-                    check_energy(self._problem, self._diagonal(), form, self.name)
-
-    def _vector_data(self, form: ResidualForm, sides: dict[str, Any], bcs: list[Any], of: Any, measure: Any) -> Data:
-        """The data of a vector-valued problem (collective)."""
-        # only here: a scalar problem does not load it
-        from fenicsx_obstacle.discrete.contact_nodes import VectorData, of_vector_space
-        from fenicsx_obstacle.problems.vector_valued import facets_and_weight
-
-        self._vector_valued = True
-        V = form.u.function_space
-        facets, weight = facets_and_weight(measure, V.mesh, self.name)
-        if of is None:
-            raise InputError(f"{self.name}: u is vector-valued: say what the obstacles bound, of=ufl.dot(u, n)")
-        level = of_vector_space(V, self.name, {"contact": facets})
-        model = Model(
-            (form,),
-            boundary=(Part("measure", ("contact",), lower=sides["lower"], upper=sides["upper"]),),
-            source=self.name,
-        )
-        return VectorData(model, level, bcs, of=of, u=form.u, weight=weight)
-
-    def _set_stress(self, stress: Any, mesh: Mesh, compiled: tuple[Any, Any]) -> None:
-        """Compile the von Mises stress, where a stress is given (collective)."""
-        if stress is not None:
-            from fenicsx_obstacle.problems.vector_valued import VonMises
-
-            with releases.compiled_with(*compiled):
-                self._von_mises = VonMises(stress, mesh, self.name)
+                    check_energy(self._problem, self._diagonal(), residual, name)
 
     @classmethod
     def of_model(
@@ -400,7 +375,7 @@ class ObstacleProblem:
                 options = SolverOptions(method, value, source=f"{self.name}:")
             levels = self._levels_for(options)
             start = self._press if len(levels) == 1 or self._has_start() else None
-            numbered = None if monitor is None else _Numbered(monitor, problem)
+            numbered = None if monitor is None else _on_finest(monitor, problem)
             try:
                 found = solve(levels, options, known=self._eps, start=start, tolerance=rtol, monitor=numbered)
             except NoPositiveDiagonal:
@@ -511,17 +486,16 @@ class ObstacleProblem:
             problem.state.share()
 
 
-class _Numbered:
+def _on_finest(monitor: Monitor, finest: Problem) -> StepMonitor:
     """A monitor as solvers take it: of the steps on the finest level."""
+    numbers = count()
 
-    def __init__(self, monitor: Monitor, finest: Problem):
-        self.monitor, self.finest, self.number = monitor, finest, 0
+    def numbered(problem: System, step: Step, active: np.ndarray) -> None:
+        if problem is finest:
+            with agree(problem.comm):
+                monitor(next(numbers), step)
 
-    def __call__(self, problem: Problem, step: Step, active: np.ndarray) -> None:
-        if problem is self.finest:
-            with agree(problem.level.comm):
-                self.monitor(self.number, step)
-            self.number += 1
+    return numbered
 
 
 def _values_in(form: ufl.Form) -> dict[Any, np.ndarray]:
