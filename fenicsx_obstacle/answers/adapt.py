@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -168,19 +168,32 @@ class Refinement:
 
     def balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
-        first = not self.path  # a wrong exact solution is reported on the first mesh
-        answer = context.answer(self.options, bound=True, errors=first)
-        bound, self._solves = _bound(answer), 1
-        while self.may_lower_eps(answer) and bound.penalty > BALANCED * bound.discretisation:
+
+        def bounded() -> tuple[Answer, Bound]:
+            first = not self.path and self._solves == 0  # a wrong exact solution is reported on the first mesh
+            answer = context.answer(self.options, bound=True, errors=first)
+            return answer, _bound(answer)
+
+        return self.with_eps(bounded)[0]
+
+    def with_eps(self, solve: Callable[[], tuple[Answer, Any]]) -> tuple[Answer, Any]:
+        """Solve, and again with a smaller eps as long as the part of the penalty dominates (collective).
+
+        Args:
+            solve: Returns an answer and its error, with the parts `discretisation` and `penalty`.
+        """
+        self._solves = 0
+        answer, error = solve()
+        self._solves = 1
+        while self.may_lower_eps(answer) and error.penalty > BALANCED * error.discretisation:
             least, ahead = self.ahead(answer)
-            eps = answer.record["eps"] * max(least, ahead * BALANCED * bound.discretisation / bound.penalty)
-            self.options = replace(self.options, eps=eps)
-            answer, before = context.answer(self.options, bound=True, errors=False), bound
-            bound = _bound(answer)
+            eps = answer.record["eps"] * max(least, ahead * BALANCED * error.discretisation / error.penalty)
+            self.options, before = replace(self.options, eps=eps), error.penalty
+            answer, error = solve()
             self._solves += 1
-            if bound.penalty > 0.9 * before.penalty:  # round-off, or an obstacle that nodes do not see
+            if error.penalty > 0.9 * before:  # round-off, or an obstacle that nodes do not see
                 break
-        return answer
+        return answer, error
 
     def ahead(self, answer: Answer) -> tuple[float, float]:
         """By which factor eps is reduced at most, and how small the part of the penalty is to become then, over what is
@@ -286,10 +299,9 @@ class Adaptation(Refinement):
     def ahead(self, answer: Answer) -> tuple[float, float]:
         """See `Refinement.ahead`; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
         least, ahead = super().ahead(answer)
-        total, limit = _bound(answer).total, self._limit(answer)
-        if self.scene.pair.degree == 1 or total <= limit:
+        if self.scene.pair.degree == 1 or _bound(answer).total <= self._limit(answer):
             return least, ahead
-        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * limit / total)
+        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * self._limit(answer) / _bound(answer).total)
 
     def _proved(self, context: SolverContext, answer: Answer) -> Answer:
         """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""

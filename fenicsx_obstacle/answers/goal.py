@@ -18,7 +18,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import BALANCED, BULK, PENALTY_SHARE_AHEAD, Adaptation
+from fenicsx_obstacle.answers.adapt import BULK, Adaptation
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -46,7 +46,7 @@ class Estimate:
 
     Attributes:
         value: The quantity there.
-        mesh: Part of the mesh, >= 0.
+        discretisation: Part of the mesh, >= 0.
         penalty: Part of the penalty, >= 0.
         indicator: Contribution of each owned cell.
         dofs: Unknowns of the finest mesh that it took.
@@ -54,7 +54,7 @@ class Estimate:
     """
 
     value: float
-    mesh: float
+    discretisation: float
     penalty: float
     indicator: np.ndarray
     dofs: int
@@ -63,7 +63,7 @@ class Estimate:
     @property
     def error(self) -> float:
         """The estimate."""
-        return self.mesh + self.penalty
+        return self.discretisation + self.penalty
 
 
 class Goal:
@@ -166,7 +166,7 @@ class GoalAdaptation(Adaptation):
         answer, estimate = super().answer(yardstick=yardstick), self.estimate
         goal = {
             "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": _relative(estimate),
-            "words": self.words, "mesh": estimate.mesh, "penalty": estimate.penalty, "dofs": estimate.dofs,
+            "words": self.words, "mesh": estimate.discretisation, "penalty": estimate.penalty, "dofs": estimate.dofs,
         }  # fmt: skip
         adaptive = {"of": self.goal.name, **answer.record["adaptive"]}
         return replace(answer, record=self.comm.bcast({**answer.record, "goal": goal, "adaptive": adaptive}))
@@ -177,7 +177,7 @@ class GoalAdaptation(Adaptation):
             self._bounded = self.goal.name == ENERGY and self._has_bound(context)
         found = self._guaranteed(context) if self._bounded else None
         if found is None:
-            self._bounded, found = False, self._estimated(context)
+            self._bounded, found = False, self.with_eps(lambda: self._refined(context))
             jump = jump_inside(context.problem.data)  # of which no finer mesh is known to have it at the right place
             self.words = "estimated" if jump is None else f"estimated, not settled: {jump.source} {JUMPS}"
         answer, self.estimate = found
@@ -222,26 +222,11 @@ class GoalAdaptation(Adaptation):
         half = (high - low) / 2
         return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.dofs, answer.dofs)
 
-    def _estimated(self, context: SolverContext) -> tuple[Answer, Estimate]:
-        """The solution on one mesh, with eps so small that the error of the mesh dominates, and its estimate
-        (collective).
+    def _refined(self, context: SolverContext) -> tuple[Answer, Estimate]:
+        """The solution on one mesh, and the estimate from a finer one (collective).
 
         Parts of mesh and penalty have signs, and a sum of absolute values is far above the error where they cancel.
         """
-        answer, estimate = self._refined(context)
-        self._solves = 1
-        while self.may_lower_eps(answer) and estimate.penalty > BALANCED * estimate.mesh:
-            share = PENALTY_SHARE_AHEAD * BALANCED * estimate.mesh / estimate.penalty
-            self.options = replace(self.options, eps=answer.record["eps"] * max(0.02, share))
-            before = estimate.penalty
-            answer, estimate = self._refined(context)
-            self._solves += 1
-            if estimate.penalty > 0.9 * before:  # round-off
-                break
-        return answer, estimate
-
-    def _refined(self, context: SolverContext) -> tuple[Answer, Estimate]:
-        """The solution on one mesh, and the estimate from a finer one (collective)."""
         answer = context.answer(self.options, errors=False)
         options = replace(self.options, eps=answer.record["eps"]) if answer.record["eps"] is not None else self.options
         finer: list[SolverContext] = []
