@@ -16,7 +16,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
-from tests.hard.units import Units, all_units
+from tests.hard.units import CONVERSIONS, Units, all_units
 from tests.test_cli import run
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
@@ -749,11 +749,11 @@ def test_an_effect_from_outside(tmp_path):
 
 @pytest.mark.parametrize("table", ["effects", "boundary"])
 def test_an_effect_is_a_file_named_as_its_key(table):
-    """Whatever a table can name is found by its name; of scalar u each says how its data are written in other units."""
+    """Whatever a table can name is found by its name; of scalar u the data of each can be written in other units."""
     for key in known(table):
         effect = find(key)
         assert (effect.key, effect.table) == (key, table) and effect.__module__.endswith(f".{key}")
-        assert effect.dimension is not None or effect.vector_valued
+        assert key in CONVERSIONS or effect.vector_valued
 
 
 MOVING = """
@@ -771,7 +771,6 @@ class Moving(Effect):
     key = "moving_load"
     equation = "moving_load(x - speed t)"
     term = "- int moving_load(x - speed t) v"
-    dimension = (-2, 1, 1)
 
     @classmethod
     def read(cls, raw, place, reader, **more):
@@ -779,11 +778,6 @@ class Moving(Effect):
         speed = reader.number(given["speed"], f"{place}.speed")
         force = re.sub(r"\\bx\\b", f"(x - {speed!r}*t)", str(given["force"])) if speed else given["force"]
         return cls(reader.field(force, f"{place}.force"), speed)
-
-    @classmethod
-    def in_units(cls, raw, units, dim):
-        force = super().in_units(raw["force"], units, dim)
-        return {"force": force, "speed": units.scaled(raw["speed"], units.length)}
 
     @property
     def area_load(self):
@@ -805,10 +799,16 @@ class Moving(Effect):
 
 
 @pytest.fixture
-def moving_load(tmp_path):
+def moving_load(tmp_path, monkeypatch):
     """A load that travels, from a file."""
+
+    def in_units(raw, units, dim):
+        force = CONVERSIONS["load"](raw["force"], units, dim)
+        return {"force": force, "speed": units.scaled(raw["speed"], units.length)}
+
     (tmp_path / "moving.py").write_text(MOVING)
     load_plugin(tmp_path / "moving.py")
+    monkeypatch.setitem(CONVERSIONS, "moving_load", in_units)
     yield
     del _register["moving_load"]
 
@@ -816,7 +816,7 @@ def moving_load(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("moving_load")
 def test_one_class_is_a_whole_effect():
-    """What others ask of an effect, its class answers: values, other units, weights of a pair's own, conflicts."""
+    """What others ask of an effect, its class answers: values, weights of a pair's own, conflicts."""
     force = "-8*sin(pi*x)"
     still, load = (membrane(lower=-0.1, **one) for one in (
         {"moving_load": {"force": force, "speed": 0}}, {"load": force}))  # fmt: skip

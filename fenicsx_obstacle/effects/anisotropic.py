@@ -34,7 +34,6 @@ class Anisotropic(Effect):
     term = "int (tension grad u) . grad v"
     unit = "force/length"
     elastic = True
-    dimension = (0, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Anisotropic:

@@ -102,32 +102,6 @@ class Sampler(Protocol):
         """Integration over the part of the boundary that has a key, by the nodal rule of its facets if asked for."""
 
 
-class Units(Protocol):
-    """Conversion of data to other units of length, u and force, and to another zero of u."""
-
-    @property
-    def length(self) -> float:
-        """How many new units of length make an old one."""
-
-    @property
-    def height(self) -> float:
-        """The same for u and the obstacles."""
-
-    @property
-    def force(self) -> float:
-        """The same for forces."""
-
-    @property
-    def pressure(self) -> float:
-        """How many new units of force per area make an old one."""
-
-    def scaled(self, value: Any, factor: float) -> Any:
-        """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
-
-    def height_of(self, value: Any) -> Any:
-        """A number or a formula for a value of u."""
-
-
 @dataclass(frozen=True)
 class Effect:
     """One term of the equation. Subclasses define the form; the defaults contribute nothing.
@@ -160,10 +134,6 @@ class Effect:
     )
     no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
     no_bound_from: ClassVar[int] = 1  # dimension of the meshes for which there is none
-    # exponents of length, u and tension in the unit of its value; None: its scene has no other units
-    dimension: ClassVar[tuple[int, int, int] | None] = None
-    keeps_slopes: ClassVar[bool] = False  # it is the same in other units only where slopes are
-    rounds_slopes: ClassVar[bool] = False  # in units with other slopes its powers of them are rounded anew
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
@@ -179,19 +149,6 @@ class Effect:
             InputError: If it is not what the effect takes.
         """
         return cls(reader.value(raw, place), **more)
-
-    @classmethod
-    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
-        """The entry of the scene in other units; only for effects with a `dimension`.
-
-        Args:
-            raw: In the old units.
-            units: The new ones.
-            dim: Dimension of the mesh.
-        """
-        assert cls.dimension is not None
-        length, height, force = cls.dimension
-        return units.scaled(raw, units.length**length * units.height**height * units.force**force)
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         """A message if it cannot be combined with the other effects of a scene; otherwise None."""

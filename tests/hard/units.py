@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,13 +16,15 @@ from typing import Any
 import msgspec
 
 from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.effects.effect import find
+from fenicsx_obstacle.effects.domain.power_law import FLAT
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_SHAPE
 
 BILLION = 2.0**30
 MILLION = 2.0**20
 _LENGTHS = re.compile(r"\b(x|y|z|r|distance)\b")
+KEEP_SLOPES = {"large_slope"}  # effects that are the same in other units only where slopes are
+ROUND_SLOPES = {"power_law"}  # effects whose powers of slopes are rounded anew in units with other slopes
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Units:
         """
         if self.shift != 0.0:
             return all(effect.affine and effect.symmetric for effect in model.effects)
-        return self.height == self.length or not any(effect.rounds_slopes for effect in model.effects)
+        return self.height == self.length or not any(effect.key in ROUND_SLOPES for effect in model.effects)
 
     def of(self, scene: Scene) -> Scene:
         """The scene in these units, without its exact solution and report; meshes of files keep their length."""
@@ -82,14 +85,18 @@ class Units:
         changes |= {f"define.{key}": self._old(value) for key, value in tables.get("define", {}).items()}
         dim = {"interval": 1, "box": 3}.get(mesh.get("shape", ""), 2)
         given = tables.get("effects", {})
-        changes["effects"] = {key: find(key).in_units(value, self, dim) for key, value in given.items()}
+        changes["effects"] = {key: self._datum(key, value, dim) for key, value in given.items()}
         changes |= {f"obstacle.{key}": self.height_of(value) for key, value in obstacle.items()}
         new = {"value": self.height_of, "lower": self.height_of, "upper": self.height_of, "where": self._old}
         acting = {effect.key for effect in scene.effects if effect.table == "boundary"}
-        new |= {key: partial(find(key).in_units, units=self, dim=dim) for key in acting}
+        new |= {key: partial(self._datum, key, dim=dim) for key in acting}
         parts = tables.get("boundary", ())
         changes["boundary"] = [{k: new[k](v) if k in new else v for k, v in part.items()} for part in parts]
         return scene.change({**changes, "exact": None, "report": {}})
+
+    def _datum(self, key: str, raw: Any, dim: int) -> Any:
+        """The entry of an effect in a scene."""
+        return CONVERSIONS[key](raw, self, dim)
 
     def scaled(self, value: Any, factor: float) -> Any:
         """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
@@ -114,21 +121,75 @@ class Units:
         return f"{scaled} + {self.shift!r}" if isinstance(scaled, str) else scaled + self.shift
 
 
+Conversion = Callable[[Any, Units, int], Any]  # of an effect's entry in a scene, on a mesh of some dimension
+
+
+def _of_unit(length: int, height: int, force: int) -> Conversion:
+    """The conversion of a value whose unit has these exponents of length, u and tension."""
+
+    def convert(raw: Any, units: Units, dim: int) -> Any:
+        return units.scaled(raw, units.length**length * units.height**height * units.force**force)
+
+    return convert
+
+
+def _point_load(raw: Any, units: Units, dim: int) -> Any:
+    factor = units.pressure * units.length**dim
+    return [
+        {"at": [units.scaled(x, units.length) for x in (at if isinstance(at, list) else [at])],
+         "force": units.scaled(one["force"], factor)}
+        for one in raw for at in [one["at"]]
+    ]  # fmt: skip
+
+
+def _power_law(raw: Any, units: Units, dim: int) -> Any:
+    slope = units.height / units.length
+    # a power of two for exponents with one digit: nothing is rounded
+    factor = units.force * 2.0 ** round(math.log2(slope) * (2 - float(raw["exponent"])), 6)
+    return {
+        **raw, "coefficient": units.scaled(raw.get("coefficient", 1.0), factor),
+        "regularisation": units.scaled(raw.get("regularisation", FLAT), slope),
+    }  # fmt: skip
+
+
+def _soft_obstacle(raw: Any, units: Units, dim: int) -> Any:
+    sides = {side: units.height_of(g) for side, g in raw.items() if side != "stiffness"}
+    return {**sides, "stiffness": CONVERSIONS["foundation"](raw["stiffness"], units, dim)}
+
+
+# by the key of the effect; scenes with other effects have no other units
+CONVERSIONS: dict[str, Conversion] = {
+    "axial_symmetry": lambda raw, units, dim: raw,
+    "drift": _of_unit(-1, 0, 1),
+    "flux": _of_unit(-1, 1, 1),
+    "foundation": _of_unit(-2, 0, 1),
+    "inertia": _of_unit(-2, 0, 1),
+    "large_slope": _of_unit(0, 0, 1),
+    "load": _of_unit(-2, 1, 1),
+    "point_load": _point_load,
+    "power_law": _power_law,
+    "rate": _of_unit(-2, 0, 1),
+    "soft_obstacle": _soft_obstacle,
+    "spring": _of_unit(-1, 0, 1),
+    "tension": _of_unit(0, 0, 1),
+}
+
+
 def all_units(scene: Scene, size: float) -> list[Units]:
     """The units in which a scene is the same.
 
     Args:
-        scene: Meshes of files keep their lengths; none are known for effects without a `dimension`.
+        scene: Meshes of files keep their lengths; none are known for effects that are not in `CONVERSIONS`.
         size: Of its solution.
     """
     shape, effects = scene.tables.mesh.shape is not None, scene.effects
-    if any(effect.dimension is None for effect in effects):
+    if any(effect.key not in CONVERSIONS for effect in effects):
         return []
     found = []
     for key in ("length", "height", "force"):
         for sign, factor in (("-", 1 / BILLION), ("", BILLION)):
             scaled = {key: factor}
-            if any(effect.keeps_slopes for effect in effects) and key != "force":
+            if any(effect.key in KEEP_SLOPES for effect in effects) and key != "force":
                 scaled = {"length": factor, "height": factor}
             if shape or "length" not in scaled:
                 found.append(Units(f"{' and '.join(f'{one}s' for one in scaled)} x 2^{sign}30", **scaled))

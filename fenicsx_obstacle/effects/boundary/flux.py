@@ -26,7 +26,6 @@ class Flux(OnPart):
     equation = "flux"
     term = "- int flux v over its part, nodal rule"
     unit = "force/length"
-    dimension = (-1, 1, 1)
 
     @property
     def part_load(self) -> tuple[Field, int]:

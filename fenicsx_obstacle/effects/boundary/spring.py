@@ -27,7 +27,6 @@ class Spring(OnPart):
     term = "+ int spring u v over its part, nodal rule"
     unit = "force/area"
     holds = True
-    dimension = (-1, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Any:

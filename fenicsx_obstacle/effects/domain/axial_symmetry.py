@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, Units, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 from fenicsx_obstacle.errors import InputError
 
 
@@ -24,17 +24,12 @@ class AxialSymmetry(Effect):
     key = "axial_symmetry"
     radial = True
     vector_valued = None
-    dimension = (0, 0, 0)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> AxialSymmetry:
         if raw is not True:
             raise InputError(f"{reader.source}: {place} = {raw!r}: expected true, or nothing")
         return cls()
-
-    @classmethod
-    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
-        return raw
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0

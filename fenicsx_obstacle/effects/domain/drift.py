@@ -47,7 +47,6 @@ class Drift(Effect):
     symmetric = False
     convex = False
     upwinded = True
-    dimension = (-1, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Drift:

@@ -27,7 +27,6 @@ class Foundation(Effect):
     upwinded = True
     unit = "force/volume"
     holds = True
-    dimension = (-2, 0, 1)
 
     @property
     def reaction(self) -> Field:

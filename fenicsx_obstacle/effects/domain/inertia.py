@@ -26,7 +26,6 @@ class Inertia(Effect):
     term = "+ int inertia u_tt v, nodal rule"
     unit = "mass/length^2"
     holds = True
-    dimension = (-2, 0, 1)
     order = 2
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:

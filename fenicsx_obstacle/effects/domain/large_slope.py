@@ -24,8 +24,6 @@ class LargeSlope(GradientDependent):
     key = "large_slope"
     equation = "-div(large_slope grad u/sqrt(1 + |grad u|^2))"
     term = "int large_slope grad u . grad v/sqrt(1 + |grad u|^2)"
-    dimension = (0, 0, 1)
-    keeps_slopes = True
 
     def greatest(self, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True)

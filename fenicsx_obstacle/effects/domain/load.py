@@ -21,7 +21,6 @@ class Load(Effect):
     term = "- int load v"
     upwinded = True
     unit = "force/area"
-    dimension = (-2, 1, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, Units, keys_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ class PointLoad(Effect):
     equation = "sum of point_load delta"
     term = "- sum point_load v(point)"
     unit = "force"
-    dimension = (0, 1, 1)  # of the force, on a plane mesh
     no_bound = "the error bound does not cover point loads, whose energy is infinite but on intervals"
     no_bound_from = 2
 
@@ -49,15 +48,6 @@ class PointLoad(Effect):
             force = reader.number(given["force"], f"{here}.force")
             found.append((tuple(reader.number(x, f"{here}.at") for x in at), force))
         return cls(tuple(found))
-
-    @classmethod
-    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
-        factor = units.pressure * units.length**dim
-        return [
-            {"at": [units.scaled(x, units.length) for x in (at if isinstance(at, list) else [at])],
-             "force": units.scaled(one["force"], factor)}
-            for one in raw for at in [one["at"]]
-        ]  # fmt: skip
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         radial = [effect.key for effect in effects if effect.radial]

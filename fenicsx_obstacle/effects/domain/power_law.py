@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Reader, Sampler, Units, keys_of, register
+from fenicsx_obstacle.effects.effect import Reader, Sampler, keys_of, register
 from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
 from fenicsx_obstacle.errors import InputError
 
@@ -40,8 +39,6 @@ class PowerLaw(GradientDependent):
     key = "power_law"
     equation = "-div(coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u)"
     term = "int coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u . grad v"
-    dimension = (0, 0, 1)  # of the coefficient, where slopes stay
-    rounds_slopes = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PowerLaw:
@@ -53,16 +50,6 @@ class PowerLaw(GradientDependent):
         if flat <= 0:
             raise InputError(f"{reader.source}: {place}.regularisation = {flat:g}: must be positive")
         return cls(reader.value(given.get("coefficient", 1.0), f"{place}.coefficient"), exponent, flat)
-
-    @classmethod
-    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
-        slope = units.height / units.length
-        # a power of two for exponents with one digit: nothing is rounded
-        factor = units.force * 2.0 ** round(math.log2(slope) * (2 - float(raw["exponent"])), 6)
-        return {
-            **raw, "coefficient": units.scaled(raw.get("coefficient", 1.0), factor),
-            "regularisation": units.scaled(raw.get("regularisation", FLAT), slope),
-        }  # fmt: skip
 
     @property
     def text(self) -> str:

@@ -24,7 +24,6 @@ class Rate(Effect):
     term = "+ int rate u_t v, nodal rule"
     unit = "force time/length^3"
     holds = True
-    dimension = (-2, 0, 1)
     order = 1
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:

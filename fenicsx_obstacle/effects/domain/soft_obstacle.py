@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, Units, keys_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
 
 if TYPE_CHECKING:
     import ufl
@@ -37,18 +37,12 @@ class SoftObstacle(Effect):
     affine = False
     gives_way = True
     pointwise = True
-    dimension = (-2, 0, 1)  # of the stiffness
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> SoftObstacle:
         given = keys_of(raw, place, reader, ("stiffness",), ("lower", "upper"), one_of=("lower", "upper"))
         sides = {side: reader.field(given[side], f"{place}.{side}") for side in ("lower", "upper") if side in given}
         return cls(reader.value(given["stiffness"], f"{place}.stiffness"), **sides)
-
-    @classmethod
-    def in_units(cls, raw: Any, units: Units, dim: int) -> Any:
-        sides = {side: units.height_of(g) for side, g in raw.items() if side != "stiffness"}
-        return {**sides, "stiffness": super().in_units(raw["stiffness"], units, dim)}
 
     @property
     def text(self) -> str:

@@ -27,7 +27,6 @@ class Tension(Effect):
     term = "int tension grad u . grad v"
     unit = "force/length"
     elastic = True
-    dimension = (0, 0, 1)
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
