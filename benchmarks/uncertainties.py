@@ -84,8 +84,7 @@ def truths(scene: Scene) -> dict[str, float]:
     assert exact is not None
     at = lambda field, x: field.at(x, {"eps": 0.0})  # noqa: E731
     sums, tops, peaks = dict.fromkeys(("volume", "square", "energy"), 0.0), [], [0.0]
-    tension = scene.model.elastic.isotropic_tension
-    assert tension is not None
+    tension = scene.model.elastic.value
     for x, weight in grid(ends):
         u, energy = at(exact.u, x), np.zeros(x.shape[1])
         for axis in range(len(ends)):

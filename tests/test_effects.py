@@ -771,6 +771,7 @@ class Moving(Effect):
     key = "moving_load"
     equation = "moving_load(x - speed t)"
     term = "- int moving_load(x - speed t) v"
+    role = "load"
 
     @classmethod
     def read(cls, raw, place, reader, **more):
@@ -778,10 +779,6 @@ class Moving(Effect):
         speed = reader.number(given["speed"], f"{place}.speed")
         force = re.sub(r"\\bx\\b", f"(x - {speed!r}*t)", str(given["force"])) if speed else given["force"]
         return cls(reader.field(force, f"{place}.force"), speed)
-
-    @property
-    def area_load(self):
-        return self.value
 
     def conflict(self, effects):
         rival = [effect.key for effect in effects if effect.order > 1]

@@ -111,7 +111,8 @@ def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
     slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
     l2, gradient = total(comm, squared), total(comm, size * slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
-    tension = answer.scene.model.elastic.isotropic_tension if isinstance(answer, Answer) else None
+    elastic = answer.scene.model.elastic if isinstance(answer, Answer) else None
+    tension = elastic.value if elastic is not None and elastic.role == "tension" else None
     if tension is not None and tension.parts is None and not tension.needs_distance:
         mu = tension.at(np.ascontiguousarray(x.mean(axis=1).T), {})
         norms["energy"] = math.sqrt(total(comm, mu * size * slopes))

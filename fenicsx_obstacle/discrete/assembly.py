@@ -353,10 +353,9 @@ class Nodal(Affine, Forms):
         """Take these weights for I, and F_i = f(x_i) D_i, or -(A g + f)/D would not tend to the pressure."""
         zero = self._zero()
         for effect in self.effects:
-            f = effect.density(self.data)
-            if f is None:
+            if effect.role != "load":
                 continue
-            part = self.vector()
+            f, part = self.data.at_nodes(effect.value), self.vector()
             self._assemble(part, releases.form(effect.terms(zero, self.v, self.data)))
             self.add_forces(f * D + part.array_r)
             part.destroy()

@@ -309,7 +309,7 @@ def _reached(
 def _moving(data: Data) -> Iterator[_Moving]:
     """The data that depend on t and have been sampled, each with its points (collective)."""
     level, model = data.level, data.model
-    loads = [effect.area_load for effect in model.effects if effect.area_load is not None]
+    loads = [effect.value for effect in model.effects if effect.role == "load"]
     everywhere, of_cells = level.points, level.points_of(level.W)
     in_cells, at_nodes, on_parts = data.sampled
     for field in in_cells:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
@@ -106,7 +106,7 @@ class MeshSystem(System):
     @cached_property
     def drift(self) -> Drift | None:
         """The drift of the model, if it has one; renewed with the stiffness (first use is collective)."""
-        velocity = next((found for effect in self.model.effects if (found := effect.velocity) is not None), None)
+        velocity: Any = next((effect.value for effect in self.model.effects if effect.role == "drift"), None)
         if velocity is None:
             return None
         from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift

@@ -76,7 +76,7 @@ class Problem(MeshSystem):
 
             hint = HINT
             checks.append(torn)
-        if any(effect.velocity is not None for effect in self.model.effects):
+        if any(effect.role == "drift" for effect in self.model.effects):
             from fenicsx_obstacle.discrete.trapped_drift import trapped
 
             checks.append(trapped)

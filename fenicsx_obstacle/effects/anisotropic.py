@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field, Rows
+    from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class Anisotropic(Effect):
     left = True
     term = "int (tension grad u) . grad v"
     unit = "force/length"
+    role = "matrix tension"
     elastic = True
 
     @classmethod
@@ -50,20 +51,11 @@ class Anisotropic(Effect):
     def text(self) -> str:
         return "[" + ", ".join("[" + ", ".join(entry.text for entry in row) + "]" for row in self.value) + "]"
 
-    @property
-    def matrix_tension(self) -> Rows:
-        return self.value
-
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
     def tension_at(self, u: Any, data: Sampler) -> Any:
         return data.matrix(self.value)
-
-    def along(self, direction: Any, data: Sampler) -> Any:
-        from ufl import inner
-
-        return inner(data.matrix(self.value) * direction, direction) / inner(direction, direction)
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.eigenvalues(self.value)[:, -1]

@@ -12,9 +12,9 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
-from fenicsx_obstacle.effects.field import Field, Rows, fields_in
+from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
@@ -22,6 +22,13 @@ if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite
     import ufl
 
 _FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by the tables that name their effects
+
+
+# with the `value` of the effect: tension int mu grad u . grad v, its matrix int (A grad u) . grad v, load -int f v,
+# reaction int k u v with k >= 0, drift int (b . grad u) v; load and reaction of a part of the boundary are integrals
+# over it; point forces -sum F v(x)
+Role = Literal["", "tension", "matrix tension", "load", "reaction", "drift", "part load", "part reaction",
+               "point forces"]  # fmt: skip
 
 
 class Reader(Protocol):
@@ -118,6 +125,7 @@ class Effect:
     left: ClassVar[bool] = False  # on the left side there
     term: ClassVar[str] = ""  # its part of a(u, v) - f(v), for `explain`
     unit: ClassVar[str] = ""
+    role: ClassVar[Role] = ""  # which of the terms it is that error bounds and checks know
     holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
     note: ClassVar[str] = ""  # what `explain` adds
     upwinded: ClassVar[bool] = False  # its test functions are upwinded where there is drift
@@ -170,50 +178,10 @@ class Effect:
         return int(type(self).terms is not Effect.terms)
 
     @property
-    def isotropic_tension(self) -> Field | None:
-        """mu if its part of a(u, v) is int mu grad u . grad v, otherwise None."""
-        return None
-
-    @property
-    def matrix_tension(self) -> Rows | None:
-        """The rows of A if its part of a(u, v) is int (A grad u) . grad v with a matrix A, otherwise None."""
-        return None
-
-    @property
-    def area_load(self) -> Field | None:
-        """f if its part of f(v) is int f v and its part of a(u, v) is 0, otherwise None."""
-        return None
-
-    @property
-    def reaction(self) -> Field | None:
-        """k >= 0, where its part of a(u, v) is int k u v, and it has none of f(v)."""
-        return None
-
-    @property
-    def part_load(self) -> tuple[Field, int] | None:
-        """g and the [[boundary]] where its part of f(v) is the integral of g v, and it has none of a(u, v)."""
-        return None
-
-    @property
-    def part_reaction(self) -> tuple[Field, int] | None:
-        """k >= 0 and the [[boundary]] where its part of a(u, v) is the integral of k u v, and it has none of f(v)."""
-        return None
-
-    @property
-    def point_forces(self) -> tuple[tuple[tuple[float, ...], float], ...]:
-        """Points and forces where its part of f(v) is the sum of force v(point), and it has none of a(u, v)."""
-        return ()
-
-    @property
-    def velocity(self) -> tuple[Field, ...] | None:
-        """b if its part of a(u, v) is int (b . grad u) v, otherwise None."""
-        return None
-
-    @property
     def in_model_problem(self) -> bool:
         """Whether it is a term of (2.2), -div(mu grad u) = f: a linear tension mu (or a matrix), or a load per area
         f."""
-        return (self.elastic and self.affine) or self.area_load is not None
+        return (self.elastic and self.affine) or self.role == "load"
 
     def outputs(self, data: Sampler) -> dict[str, float]:
         """Output quantities of a result that belong to it, by their names there (collective)."""
@@ -279,10 +247,6 @@ class Effect:
         """The term added to upwinded test functions (SUPG), or None."""
         return None
 
-    def along(self, direction: Any, data: Sampler) -> Any:
-        """Its tension in a direction, where it is elastic and linear."""
-        raise TypeError(f"{type(self).__name__} has no tension of its own")
-
     def tension_at(self, u: ufl.core.expr.Expr, data: Sampler) -> Any:
         """Its tension where the solution is u, a number or a matrix, so that its part of a(u, v) is the integral of
         (tension grad u) . grad v; None where it has none. The flux of a solution is this times grad u."""
@@ -291,10 +255,6 @@ class Effect:
     def stiffness(self, data: Sampler) -> np.ndarray | None:
         """Its tension in local cells where it is elastic, for the scale of eps."""
         return None
-
-    def density(self, data: Sampler) -> np.ndarray | None:
-        """Its values at owned nodes where it is a load per area, else None: for lumping with other weights."""
-        return None if self.area_load is None else data.at_nodes(self.area_load)
 
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:

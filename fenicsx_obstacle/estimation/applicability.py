@@ -32,11 +32,11 @@ def check_bound_exists(problem: Problem) -> None:
             raise InputError(f"{model.source}: {effect.no_bound}")
         if effect.elastic and not _has_tension(effect):
             raise InputError(f"{model.source}: the error bound does not cover {effect.key}")
-    if problem.data.axial and model.elastic.matrix_tension is not None:
+    if problem.data.axial and model.elastic.role == "matrix tension":
         raise InputError(f"{model.source}: with axial symmetry the error bound needs an isotropic tension")
     if pair.degree == 2 and problem.data.axial:
         raise InputError(f"{model.source}: with P2 the error bound does not cover axial symmetry")
-    if pair.degree == 2 and model.elastic.isotropic_tension is None:
+    if pair.degree == 2 and model.elastic.role != "tension":
         raise InputError(
             f"{model.source}: with P2 the error bound needs the effect 'tension', with an isotropic tension"
         )
@@ -47,5 +47,5 @@ def check_bound_exists(problem: Problem) -> None:
 
 def _has_tension(effect: Effect) -> bool:
     """Whether the tension is known: a number, a matrix, or one that depends on u."""
-    linear = effect.isotropic_tension is not None or effect.matrix_tension is not None
+    linear = effect.role in ("tension", "matrix tension")
     return linear or (not effect.affine and type(effect).tension_at is not Effect.tension_at)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import ufl
@@ -35,12 +36,14 @@ Fields = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 def tension_of(data: Data) -> Field | None:
     """mu; None where the tension is a matrix, or depends on u."""
-    return data.model.elastic.isotropic_tension
+    elastic = data.model.elastic
+    return elastic.value if elastic.role == "tension" else None
 
 
 def matrix_of(data: Data) -> Rows | None:
     """The rows of A where the tension is a matrix, otherwise None."""
-    return data.model.elastic.matrix_tension
+    elastic = data.model.elastic
+    return cast(Rows, elastic.value) if elastic.role == "matrix tension" else None
 
 
 def proved(data: Data) -> bool:
@@ -51,13 +54,13 @@ def proved(data: Data) -> bool:
 
 def load_of(data: Data) -> Field | None:
     """f, if there is a load per area; of several the first."""
-    return next((load for effect in data.model.effects if (load := effect.area_load) is not None), None)
+    return next((effect.value for effect in data.model.effects if effect.role == "load"), None)
 
 
 def other_effects(data: Data) -> list[Effect]:
     """The effects besides that tension and load, and the weight of integrals."""
     effects = [effect for effect in data.model.effects if not effect.radial]
-    load = next((effect for effect in effects if effect.area_load is not None), None)
+    load = next((effect for effect in effects if effect.role == "load"), None)
     return [effect for effect in effects if effect is not data.model.elastic and effect is not load]
 
 

@@ -140,11 +140,7 @@ class Element(ABC):
         comm, pieces, load = data.level.comm, equilibration.load.pieces, load_of(data)
         limits = {1.0: -np.inf, -1.0: np.inf}
         others = other_effects(data)
-        if (
-            not proved(data)
-            or data.axial
-            or any(effect.reaction is None and effect.part_reaction is None for effect in others)
-        ):
+        if not proved(data) or data.axial or any(effect.role not in ("reaction", "part reaction") for effect in others):
             return limits[1], limits[-1]
         if load is None:
             push = pull = 0.0

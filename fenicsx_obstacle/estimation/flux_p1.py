@@ -123,7 +123,7 @@ class EquilibrationP1:
         self.unknown = unknown_effects(data)
         self._prepare_others(others if self.unknown else [])
         known = [] if self.unknown else others
-        foundation = next((effect.reaction for effect in known if effect.reaction is not None), None)
+        foundation = next((effect.value for effect in known if effect.role == "reaction"), None)
         self.points = PointForces(simplices, others)
         self.reaction = Reaction(simplices, foundation)
         bearing = BoundaryObstacles(simplices)
@@ -242,10 +242,6 @@ def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 def unknown_effects(data: Data) -> list[Effect]:
     """The effects of which error bounds know nothing; of several foundations all but the first."""
     others = other_effects(data)
-    foundation = next((effect for effect in others if effect.reaction is not None), None)
-    known = [
-        effect
-        for effect in others
-        if effect.part_load is not None or effect.part_reaction is not None or effect.point_forces
-    ]
+    foundation = next((effect for effect in others if effect.role == "reaction"), None)
+    known = [effect for effect in others if effect.role in ("part load", "part reaction", "point forces")]
     return [effect for effect in others if effect is not foundation and effect not in known]

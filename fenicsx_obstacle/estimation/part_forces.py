@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation import piece_integrals
@@ -199,10 +200,10 @@ def part_forces(
     shape = simplices.facets.shape
     given: list[list[tuple[Field, int, float | None]]] = [[], []]
     for effect in effects:
-        if effect.part_load is not None:
-            given[0].append((*effect.part_load, None))
-        if effect.part_reaction is not None:
-            given[1].append((*effect.part_reaction, 0.0))
+        if isinstance(effect, OnPart) and effect.role == "part load":
+            given[0].append((effect.value, effect.part, None))
+        if isinstance(effect, OnPart) and effect.role == "part reaction":
+            given[1].append((effect.value, effect.part, 0.0))
     which = np.full((2, *shape), -1)
     for kind, fields in enumerate(given):
         for number, (_, part, _) in enumerate(fields):

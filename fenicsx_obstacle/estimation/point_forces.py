@@ -12,6 +12,8 @@ t |T|: |F e(p) - F e(vertex)| <= |F| (t |T|)^(1/2) ||e'||_T.
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 from mpi4py import MPI
 
@@ -42,7 +44,7 @@ class PointForces:
             simplices: The owned cells.
             effects: On meshes of more dimensions none has such forces.
         """
-        given = [one for effect in effects for one in effect.point_forces]
+        given = [one for effect in effects if effect.role == "point forces" for one in cast(Any, effect.value)]
         self.given, count = len(given) > 0, len(simplices.area)
         self.moments = np.zeros((count, simplices.dim + 1))
         self.norm, self.second, self.moved = (np.zeros(count) for _ in range(3))

@@ -75,7 +75,7 @@ class Report:
                 mesh that has none.
         """
         dim = self.level.mesh.geometry.dim
-        if self.data.model.elastic.isotropic_tension is None:
+        if self.data.model.elastic.role != "tension":
             for formula in self.scene.report.values():
                 if {"flux", NORMAL_FLUX, JUMP} & formula.names:
                     raise InputError(
@@ -250,9 +250,7 @@ class Report:
         return np.linalg.norm(self._reference.gradients(self._nodal["u"], cells, where), axis=2)
 
     def _tension(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray | float:
-        tension = self.data.model.elastic.isotropic_tension
-        assert tension is not None
-        values = self.data.cellwise(tension)
+        values = self.data.cellwise(self.data.model.elastic.value)
         if isinstance(values, fem.Constant):
             return float(values.value)
         return self._reference.values(values, cells, where)

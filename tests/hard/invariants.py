@@ -89,10 +89,10 @@ def _equilibrium(s: Solved) -> Finding:
         forces = effect.vector(data)
         if forces is not None:  # of no form
             net -= total(g.comm, forces)
-        density = effect.density(data) if problem.level.pair.own_weights else None
+        lumped = effect.role == "load" and problem.level.pair.own_weights
         form = effect.terms(u, one, data)
-        if density is not None:  # lumped with the weights of its pair
-            net -= total(g.comm, density * g.D)
+        if lumped:  # with the weights of its pair
+            net -= total(g.comm, data.at_nodes(effect.value) * g.D)
         elif form is not None and any(integral.integrand() != 0 for integral in form.integrals()):
             net += total(g.comm, fem.assemble_scalar(releases.form(form)))
     contact, edge = total(g.comm, (g.D * s.p)[g.free]), total(g.comm, s.elastic[problem.fixed])

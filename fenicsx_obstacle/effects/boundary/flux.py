@@ -10,8 +10,6 @@ from fenicsx_obstacle.effects.effect import Sampler, register
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
-
 
 @register
 class Flux(OnPart):
@@ -26,10 +24,7 @@ class Flux(OnPart):
     equation = "flux"
     term = "- int flux v over its part, nodal rule"
     unit = "force/length"
-
-    @property
-    def part_load(self) -> tuple[Field, int]:
-        return self.value, self.part
+    role = "part load"
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key, nodal=True)

@@ -10,8 +10,6 @@ from fenicsx_obstacle.effects.effect import Reader, Sampler, register
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
-
 
 @register
 class Spring(OnPart):
@@ -26,6 +24,7 @@ class Spring(OnPart):
     equation = "- spring u"
     term = "+ int spring u v over its part, nodal rule"
     unit = "force/area"
+    role = "part reaction"
     holds = True
 
     @classmethod
@@ -36,10 +35,6 @@ class Spring(OnPart):
             kind = of_bodies.ElasticSupport if isinstance(raw, list | tuple) else of_bodies.NormalSpring
             return kind.read(raw, place, reader, **more)
         return super().read(raw, place, reader, **more)
-
-    @property
-    def part_reaction(self) -> tuple[Field, int]:
-        return self.value, self.part
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)

@@ -44,6 +44,7 @@ class Drift(Effect):
         "foundation are upwinded, v + tau drift . grad v (SUPG); elsewhere Galerkin's method"
     )
     unit = "force/area"
+    role = "drift"
     symmetric = False
     convex = False
     upwinded = True
@@ -60,10 +61,6 @@ class Drift(Effect):
         return f"{self.key} can only be combined with tension, not with {bent[0]}" if bent else None
 
     @property
-    def velocity(self) -> tuple[Field, ...]:
-        return self.value
-
-    @property
     def text(self) -> str:
         return "[" + ", ".join(part.text for part in self.value) + "]"
 
@@ -78,7 +75,8 @@ class Drift(Effect):
     def upwinding(self, v: Any, elastic: Effect, data: Sampler) -> Any:
         from ufl import conditional, grad, gt, inner, max_value, sqrt
 
-        b = data.field(self.value)
+        b, tension = data.field(self.value), elastic.tension_at(None, data)
         squared = inner(b, b)
-        excess = max_value(sqrt(squared) * data.cell_size / 2 - elastic.along(b, data), 0.0)
+        along = inner(tension * b, b) / squared if tension.ufl_shape else tension
+        excess = max_value(sqrt(squared) * data.cell_size / 2 - along, 0.0)
         return conditional(gt(squared, 0.0), excess / squared, 0.0) * inner(b, grad(v))

@@ -9,8 +9,6 @@ from fenicsx_obstacle.effects.effect import Effect, Sampler, register
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
-
 
 @register
 class Foundation(Effect):
@@ -26,11 +24,8 @@ class Foundation(Effect):
     term = "+ int foundation u v"
     upwinded = True
     unit = "force/volume"
+    role = "reaction"
     holds = True
-
-    @property
-    def reaction(self) -> Field:
-        return self.value
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, least=0.0) * u * v * data.dI

@@ -9,8 +9,6 @@ from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 if TYPE_CHECKING:
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
-
 
 @register
 class Load(Effect):
@@ -21,6 +19,7 @@ class Load(Effect):
     term = "- int load v"
     upwinded = True
     unit = "force/area"
+    role = "load"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
@@ -29,10 +28,6 @@ class Load(Effect):
 
             return BodyForce.read(raw, place, reader)
         return cls(reader.value(raw, place))
-
-    @property
-    def area_load(self) -> Field:
-        return self.value
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.cellwise(self.value) * v * data.dx

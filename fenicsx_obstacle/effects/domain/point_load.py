@@ -32,6 +32,7 @@ class PointLoad(Effect):
     equation = "sum of point_load delta"
     term = "- sum point_load v(point)"
     unit = "force"
+    role = "point forces"
     no_bound = "the error bound does not cover point loads, whose energy is infinite but on intervals"
     no_bound_from = 2
 
@@ -56,10 +57,6 @@ class PointLoad(Effect):
     @property
     def text(self) -> str:
         return ", ".join(f"{force:g} at ({', '.join(f'{x:g}' for x in at)})" for at, force in self.value)
-
-    @property
-    def point_forces(self) -> tuple[tuple[tuple[float, ...], float], ...]:
-        return self.value
 
     def push(self, data: Sampler) -> tuple[float, float]:
         forces = [force for _, force in self.value]

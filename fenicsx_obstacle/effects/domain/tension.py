@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     import numpy as np
     import ufl
 
-    from fenicsx_obstacle.effects.field import Field
-
 
 @register
 class Tension(Effect):
@@ -26,6 +24,7 @@ class Tension(Effect):
     left = True
     term = "int tension grad u . grad v"
     unit = "force/length"
+    role = "tension"
     elastic = True
 
     @classmethod
@@ -36,18 +35,11 @@ class Tension(Effect):
             return Anisotropic.read(raw, place, reader)
         return cls(reader.value(raw, place))
 
-    @property
-    def isotropic_tension(self) -> Field:
-        return self.value
-
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
     def tension_at(self, u: Any, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True)
-
-    def along(self, direction: Any, data: Sampler) -> Any:
-        return self.tension_at(None, data)
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value, positive=True)
