@@ -242,6 +242,12 @@ def set_values(values: np.ndarray, bcs: Iterable[Any]) -> None:
             fem.set_bc(values, [bc])
 
 
+def element(V: fem.FunctionSpace) -> Any:
+    """The element of a scalar space, whose method `tabulate(order, points)` is that of basix."""
+    given = V.ufl_element()
+    return import_module("ffcx.element_interface").create_element(given) if OLD else given
+
+
 def expression(value: Any, V: fem.FunctionSpace) -> fem.Expression:
     """UFL expression evaluated at the nodes of V."""
     return fem.Expression(value, called(V.element.interpolation_points))

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.points import values_at
+from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
@@ -220,10 +220,10 @@ def test_peaks_between_nodes_are_not_overlooked():
         ).change({"solve.eps": 1e-10})
     )
     reference = fine.answer()
-    # the same points on every rank, as values_at wants them
+    # the same points on every rank, as values_of wants them
     own = COMM.allgather(fine.problem.level.points[:, : fine.problem.level.owned].T)
     start = sum(len(part) for part in own[: COMM.rank])
-    at = values_at(coarse.problem.level, answer.u, np.concatenate(own))[start : start + len(own[COMM.rank])]
+    at = values_of(answer.u, np.concatenate(own))[start : start + len(own[COMM.rank])]
     e = reference.u.x.array.copy()
     e[: len(at)] -= at
     error = distance(fine.problem, e)

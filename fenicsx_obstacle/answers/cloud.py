@@ -13,9 +13,9 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.lagrange import values, values_and_slopes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
+from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
@@ -59,15 +59,16 @@ class Cloud:
         inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
         elastic = next(effect for effect in answer.scene.effects if effect.elastic)
         tension = elastic.norm_matrix(data)
-        found = []
+        reference, found = Reference(level.mesh), []
         for block in [*blocks(count)] or [slice(0, 0)]:
             x = corners(level.mesh, block)
             points = (inside @ x).reshape(-1, 3)
             weights = np.outer(volumes(x), shares).ravel() * (points[:, 0] if data.model.radial else 1.0)
-            cells, places = np.repeat(np.arange(count)[block], len(inside)), np.tile(inside, (len(x), 1))
-            entries = [[values(entry, cells, places) * weights for entry in row] for row in tension]
+            cells, where = np.arange(count)[block], inside[None]
+            entries = [[reference.values(one, cells, where).ravel() * weights for one in row] for row in tension]
             pulling = np.moveaxis(np.array(entries), 2, 0) if len(entries) > 1 else entries[0][0]
-            found.append((points, weights, pulling, *values_and_slopes(answer.u, cells, places)))
+            u, slopes = reference.values(answer.u, cells, where), reference.gradients(answer.u, cells, where)
+            found.append((points, weights, pulling, u.ravel(), slopes.reshape(-1, 3)))
         mine = [np.concatenate(parts) for parts in zip(*found, strict=True)]
         return cls(*(np.concatenate(parts) for parts in zip(*level.comm.allgather(mine), strict=True)))
 
@@ -127,11 +128,11 @@ class Nearby:
 
     def norms(self, u: fem.Function) -> dict[str, float]:
         """`l2`, `energy`, which is ||mu^(1/2) grad(.)||, and `max`, over the points, of the difference (collective)."""
-        sums, highest = np.zeros(2), 0.0
+        sums, highest, reference = np.zeros(2), 0.0, Reference(u.function_space.mesh)
         for block in blocks(len(self._rows)):
-            rows, share = self._rows[block], self._share[block]
-            here, slopes = values_and_slopes(u, self._cells[block], self._places[block])
-            e, slopes = here - self.cloud.u[rows], slopes - self.cloud.slopes[rows]
+            rows, share, cells, where = self._rows[block], self._share[block], self._cells[block], self._places[block]
+            e = reference.values(u, cells, where[:, None])[:, 0] - self.cloud.u[rows]
+            slopes = reference.gradients(u, cells, where[:, None])[:, 0] - self.cloud.slopes[rows]
             sums += share @ (self.cloud.weights[rows] * e**2), share @ _along(self.cloud.tension[rows], slopes)
             highest = max(highest, np.abs(e).max())
         l2, energy = (math.sqrt(max(total(self.comm, part), 0.0)) for part in sums)

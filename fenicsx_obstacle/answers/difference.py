@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.points import values_at
+from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, total
@@ -50,7 +50,7 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     a, b, fine, coarse = a.plain, b.plain, fine.plain, coarse.plain
     comm, own = fine.level.comm, fine.level.owned
     for name in ("pressure", "contact"):
-        there[name] = values_at(coarse.level, coarse.functions()[name], points)[mine]
+        there[name] = values_of(coarse.functions()[name], points, level=coarse.level)[mine]
     outside = np.isnan(there["u"])
     difference = {name: np.where(outside, 0.0, getattr(fine, name).x.array - there[name]) for name in there}
     lumped = _lumped(fine)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, duals
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.text import counted
@@ -27,9 +28,12 @@ def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         points: The same on every rank, shape (n, 3).
 
     Returns:
-        Rows of `points`, cells, and barycentric coordinates, shape (pairs, vertices).
+        Rows of `points`, cells, and weights of their vertices, as in `Reference`, shape (pairs, vertices).
     """
     mesh = level.mesh
+    if releases.cell_name(mesh) not in SIMPLICES:
+        rows, cells = releases.cells_near(mesh, points, 0.0, within=True)
+        return rows, cells, Reference(mesh).pulled_back(cells, points[rows])
     allowed = ROUND_OFF if mesh.topology.dim == mesh.geometry.dim else OFF_SURFACE
     rows, cells = releases.cells_near(mesh, points, allowed * level.h_max)
     distinct, back = np.unique(cells, return_inverse=True)  # of many points many lie in one cell
@@ -90,30 +94,24 @@ def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.nda
     return np.divide(sums[0], sums[1], out=np.full(count, np.nan), where=sums[1] > 0)
 
 
-def values_of(u: fem.Function, points: np.ndarray) -> np.ndarray:
+def values_of(
+    u: fem.Function, points: np.ndarray, *, level: Level | None = None, parents: np.ndarray | None = None
+) -> np.ndarray:
     """Values of a Function of one component at points, on any cells; not-a-number outside its mesh (collective).
+
+    Where it has several values, on the sides of cells, it is their mean.
 
     Args:
         u: Function.
         points: The same on every rank, shape (n, 3).
+        level: The mesh in which points are looked up; by default that of u.
+        parents: If it is another one, for each of its cells the cell of the mesh of u in which it lies.
     """
-    mesh = u.function_space.mesh
-    if releases.cell_name(mesh) in SIMPLICES:
-        rows, cells, _ = locate(Level(mesh, 0.0), points)
-    else:
-        rows, cells = releases.cells_near(mesh, points, 0.0, within=True)
-    found = u.eval(points[rows], cells) if len(rows) else np.empty(0)
-    return mean_over_cells(mesh.comm, len(points), rows, np.ravel(found))
-
-
-def values_at(level: Level, u: fem.Function, points: np.ndarray) -> np.ndarray:
-    """Values of a P1 function at points, not-a-number outside the mesh (collective).
-
-    Args:
-        level: Where u lives.
-        u: Function in level.V.
-        points: The same on every rank, shape (n, 3).
-    """
+    level = level or Level(u.function_space.mesh, 0.0)
     rows, cells, weights = locate(level, points)
-    values = (u.x.array[releases.cell_dofs(level.V)[cells]] * weights).sum(axis=1)
-    return mean_over_cells(level.comm, len(points), rows, values)
+    x = points[rows]
+    if level.mesh.topology.dim < level.mesh.geometry.dim:  # of a point beside a surface the nearest one in its cell
+        x = np.einsum("pv,pvi->pi", weights, corners(level.mesh, cells))
+    cells = cells if parents is None else parents[cells]
+    found = u.eval(x, cells.astype(np.int32)) if len(rows) else np.empty(0)
+    return mean_over_cells(level.comm, len(points), rows, np.ravel(found))

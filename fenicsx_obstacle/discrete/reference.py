@@ -1,4 +1,4 @@
-"""Reference cells of every kind: Lagrange functions, gradients, measures and facets, by NumPy only.
+"""Reference cells of every kind: values, gradients, measures and facets.
 
 A place in a cell is given by the weights of its vertices, the Lagrange functions of degree 1 there: barycentric
 coordinates in simplices, products of such in quadrilaterals and hexahedra. All functions are local.
@@ -7,52 +7,21 @@ coordinates in simplices, products of such in quadrilaterals and hexahedra. All 
 from __future__ import annotations
 
 from functools import cached_property
-from itertools import product
-from math import comb, factorial
+from math import factorial
 from typing import Any
 
+import basix
 import numpy as np
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete import cells as simplices
 from fenicsx_obstacle.discrete.cells import corners, facet_corners
+from fenicsx_obstacle.discrete.fields import Cellwise
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 NEWTON_STEPS = 20  # to a place in a quadrilateral or hexahedron; parallelograms take one
-
-
-class Lagrange:
-    """Polynomials on a reference cell that are given by their values at points."""
-
-    def __init__(self, points: np.ndarray, *, simplex: bool):
-        """Find the polynomials that are 1 at one of the points and 0 at the others.
-
-        Args:
-            points: Shape (n, dim), as many as polynomials of some degree need.
-            simplex: Whether the degree is that of all factors together, not of each.
-        """
-        count, dim = points.shape
-        degree = next(d for d in range(9) if (comb(d + dim, dim) if simplex else (d + 1) ** dim) == count)
-        powers = product(range(degree + 1), repeat=dim)
-        self._powers = np.array([power for power in powers if not simplex or sum(power) <= degree]).reshape(count, dim)
-        self._inverse = np.linalg.inv(self._monomials(points))
-
-    def _monomials(self, x: np.ndarray) -> np.ndarray:
-        return np.prod(x[..., None, :] ** self._powers, axis=-1)
-
-    def values(self, x: np.ndarray) -> np.ndarray:
-        """At points (..., dim), shape (..., n)."""
-        return self._monomials(x) @ self._inverse
-
-    def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives along the axes, shape (..., n, dim)."""
-        found = []
-        for axis in range(self._powers.shape[1]):
-            lower = self._powers - np.eye(self._powers.shape[1], dtype=int)[axis]
-            factor = self._powers[:, axis]
-            found.append((factor * np.prod(x[..., None, :] ** np.maximum(lower, 0), axis=-1)) @ self._inverse)
-        return np.stack(found, axis=-1)
 
 
 class Reference:
@@ -73,51 +42,54 @@ class Reference:
         else:  # the digits of their numbers
             self.vertices = np.array([[v >> axis & 1 for axis in range(self.dim)] for v in range(2**self.dim)], float)
         self.facets = facet_corners(mesh)
-        self._linear = Lagrange(self.vertices, simplex=self.simplex)
-        self._of_space: dict[Any, Lagrange] = {}
+        self._linear = _linear(releases.cell_name(mesh))
 
-    def of(self, space: fem.FunctionSpace) -> Lagrange:
-        """The basis of a space in a cell: Lagrange, continuous or not, or linear with nodes at midpoints of edges."""
-        key = id(space)
-        if key not in self._of_space:
-            count = releases.cell_dofs(space).shape[1]
-            if count == 1:
-                points = self.vertices.mean(axis=0)[None]
-            else:  # the nodes, those of Crouzeix and Raviart too
-                points = np.asarray(releases.called(space.element.interpolation_points))[:, : self.dim]
-            self._of_space[key] = Lagrange(points, simplex=self.simplex)
-        return self._of_space[key]
+    def basis(self, space: fem.FunctionSpace, where: np.ndarray) -> np.ndarray:
+        """Basis functions of a scalar space at places (..., vertices), shape (..., dofs of a cell)."""
+        return _tabulated(releases.element(space), where @ self.vertices, 0)[0]
+
+    def slopes(self, space: fem.FunctionSpace, where: np.ndarray) -> np.ndarray:
+        """Their derivatives along the axes of the reference cell, shape (..., dofs of a cell, dim)."""
+        return np.moveaxis(_tabulated(releases.element(space), where @ self.vertices, 1)[1:], 0, -1)
 
     def weights(self, x: np.ndarray) -> np.ndarray:
         """Weights of the vertices at points (..., dim) of the reference cell, shape (..., vertices)."""
-        return self._linear.values(x)
+        if self.simplex:
+            return np.concatenate([1 - x.sum(axis=-1, keepdims=True), x], axis=-1)
+        return np.prod(np.where(self.vertices == 1, x[..., None, :], 1 - x[..., None, :]), axis=-1)
 
     def nodes(self, space: fem.FunctionSpace) -> np.ndarray:
         """Weights of the vertices at the nodes of a Lagrange space, shape (nodes, vertices)."""
         return self.weights(np.asarray(releases.called(space.element.interpolation_points))[:, : self.dim])
 
-    def values(self, function: fem.Function, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
+    def values(self, function: Cellwise, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Values in cells, shape (cells, points), at places (cells or 1, points, vertices)."""
+        if isinstance(function, fem.Constant):
+            return np.full((len(cells), where.shape[1]), float(function.value))
         space = function.function_space
         local = function.x.array[releases.cell_dofs(space)[cells]]
-        return (self.of(space).values(where @ self.vertices) @ local[:, :, None])[:, :, 0]
+        return (self.basis(space, where) @ local[:, :, None])[:, :, 0]
 
     def gradients(self, function: fem.Function, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Gradients, on surfaces in space along them, shape (cells, points, 3)."""
         space = function.function_space
         local = function.x.array[releases.cell_dofs(space)[cells]]
-        slopes = self.of(space).slopes(where @ self.vertices)
+        slopes = self.slopes(space, where)
         along = np.einsum("qpnd,cn->cpd" if len(slopes) == 1 else "cpnd,cn->cpd", slopes, local)
         return np.einsum("cpid,cpd->cpi", self.duals(cells, where), along)
 
     def jacobians(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Derivatives of the map from the reference cell, shape (cells, points, 3, dim)."""
-        slopes = self._linear.slopes(where @ self.vertices)
+        slopes = np.moveaxis(_tabulated(self._linear, where @ self.vertices, 1)[1:], 0, -1)
         return np.einsum("cvi,qpvd->cpid" if len(slopes) == 1 else "cvi,cpvd->cpid", self._corners[cells], slopes)
 
     def duals(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """The matrices that map derivatives along the axes of the reference cell to gradients, shape (cells, points,
         3, dim)."""
+        if self.simplex:  # one for each cell
+            distinct, back = np.unique(cells, return_inverse=True)
+            of_cells = simplices.duals(self._corners[distinct]).transpose(0, 2, 1)[back, None]
+            return np.broadcast_to(of_cells, (len(cells), where.shape[1], *of_cells.shape[2:]))
         J = self.jacobians(cells, where)
         return J @ np.linalg.inv(J.transpose(0, 1, 3, 2) @ J)
 
@@ -131,10 +103,11 @@ class Reference:
         if self.dim == 1:
             return np.ones((len(cells), len(shares)))
         x = self._corners[cells[:, None], members]
-        vertices = members.shape[1]
-        simplex = vertices == self.dim
-        places = np.vstack([np.zeros(self.dim - 1), np.eye(self.dim - 1)]) if simplex else self.vertices[:4, :2]
-        slopes = Lagrange(places, simplex=simplex).slopes(shares @ places)
+        simplex = members.shape[1] == self.dim
+        # the reference facet is the one between the first vertices
+        element = _linear({2: "interval", 3: "triangle" if simplex else "quadrilateral"}[self.dim])
+        places = self.vertices[: members.shape[1], : self.dim - 1]
+        slopes = np.moveaxis(_tabulated(element, shares @ places, 1)[1:], 0, -1)
         return _measures(np.einsum("fvi,pvd->fpid", x, slopes), simplex=simplex)
 
     def on_facets(self, numbers: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -168,6 +141,20 @@ class Reference:
     @cached_property
     def _corners(self) -> np.ndarray:
         return corners(self.mesh)
+
+
+def _linear(cell: str) -> Any:
+    """The element of degree 1 on a cell, whose dofs are the vertices."""
+    kind, variant = getattr(basix.CellType, cell), basix.LagrangeVariant.gll_warped  # of this degree all are the same
+    return basix.create_element(basix.ElementFamily.P, kind, 1, variant)
+
+
+def _tabulated(element: Any, x: np.ndarray, order: int) -> np.ndarray:
+    """Basis functions at points (..., dim) and, for order 1, their derivatives, shape (1 or 1 + dim, ..., dofs)."""
+    points, shape = np.ascontiguousarray(x.reshape(-1, x.shape[-1])), (1 + order * x.shape[-1], *x.shape[:-1])
+    if not len(points):  # basix takes no empty list of points
+        return np.zeros((*shape, element.dim))
+    return np.asarray(element.tabulate(order, points)).reshape(*shape, element.dim)
 
 
 def _measures(jacobians: np.ndarray, *, simplex: bool) -> np.ndarray:

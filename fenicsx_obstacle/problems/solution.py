@@ -344,14 +344,10 @@ class Solution:
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import locate, mean_over_cells, values_at  # only if requested
+        from fenicsx_obstacle.discrete.points import values_of  # only if requested
 
-        if self.level.pair.nested_hierarchy and function.function_space == self.level.V:
-            return values_at(self.level, function, points)
-        rows, cells, _ = locate(self.plain.level, points)
-        here = cells if self.level.pair.nested_hierarchy else self.cut.parents[cells]
-        found = function.eval(points[rows], here.astype(np.int32)) if len(rows) else np.empty(0)
-        return mean_over_cells(self.level.comm, len(points), rows, np.ravel(found))
+        parents = None if self.level.pair.nested_hierarchy else self.cut.parents
+        return values_of(function, points, level=self.plain.level, parents=parents)
 
     def functions(self) -> dict[str, fem.Function]:
         """The scalar fields by name, those that exist."""

@@ -20,12 +20,11 @@ from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.contact_nodes import VectorLevel, over
 from fenicsx_obstacle.discrete.fields import check_real, foreign
 from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import locate, mean_over_cells
+from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.contact import Contact
-from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
 from fenicsx_obstacle.problems.solution import PARTITION, Solution
@@ -205,13 +204,7 @@ class VectorSolution(Solution):
         return [getattr(self, of)]
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
-        mesh = self.level.mesh
-        if releases.cell_name(mesh) in SIMPLICES:
-            rows, cells, _ = locate(Level(mesh, self.level.h), points)
-        else:
-            rows, cells = releases.cells_near(mesh, points, 0.0, within=True)
-        found = function.eval(points[rows], cells.astype(np.int32)) if len(rows) else np.empty(0)
-        return mean_over_cells(mesh.comm, len(points), rows, np.ravel(found))
+        return values_of(function, points)
 
     def functions(self) -> dict[str, fem.Function]:
         """The scalar fields by name; components of u are u0, u1, u2."""

@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corners, own_cells, sides
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.points import locate, mean_over_cells
@@ -262,11 +261,7 @@ class Report:
     def _locate(self, formula: Formula, node: ast.AST, coordinates: list[ast.expr]) -> tuple[np.ndarray, ...]:
         point = np.zeros((1, 3))
         point[0, : len(coordinates)] = [self._number(formula.part(coordinate)) for coordinate in coordinates]
-        if self._reference.simplex:
-            found = locate(self.level, point)
-        else:
-            rows, cells = releases.cells_near(self.level.mesh, point, 0.0, within=True)
-            found = rows, cells, self._reference.pulled_back(cells, point[rows])
+        found = locate(self.level, point)
         if total(self.level.comm, len(found[0])) == 0:
             place = ", ".join(f"{x:g}" for x in point[0, : len(coordinates)])
             raise InputError(formula.pointing(node, f"the point ({place}) is outside the mesh"))

@@ -121,8 +121,7 @@ class DifferentiableReport(Report):
         """Add the sum over points of the derivative of an expression, times their sizes and a factor."""
         shape, values = self.fields(expression, points)
         cells, where, sizes = points.cells, points.where, factor * points.sizes
-        of_space, dofs = self._reference.of(self.level.V), releases.cell_dofs(self.level.V)[cells]
-        phi = of_space.values(where @ self._reference.vertices)
+        dofs, phi = releases.cell_dofs(self.level.V)[cells], self._reference.basis(self.level.V, where)
         phi = np.broadcast_to(phi, (*shape, phi.shape[2]))
         for name in set(values) - {"distance"}:
             step = STEP * np.where(values[name] != 0, np.abs(values[name]), 1.0)
@@ -139,7 +138,7 @@ class DifferentiableReport(Report):
             size = np.linalg.norm(gradient, axis=2, keepdims=True)
             way = np.divide(gradient, size, out=np.zeros_like(gradient), where=size > 0)
             along = np.einsum("cpi,cpid->cpd", way, self._reference.duals(cells, where))
-            slopes = of_space.slopes(where @ self._reference.vertices)
+            slopes = self._reference.slopes(self.level.V, where)
             of_nodes = np.einsum("cp,cpd,cpnd->cn", slope, along, np.broadcast_to(slopes, (*shape, *slopes.shape[2:])))
             np.add.at(self._of_u.x.array, dofs, of_nodes)
 
