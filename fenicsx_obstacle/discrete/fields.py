@@ -28,7 +28,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.shared_dofs import share
-from fenicsx_obstacle.effects.field import ByCells, Enclosed, Field, Names, Truth
+from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.parallel import agree, first_given, largest, total
@@ -140,62 +140,23 @@ class OfCallable(Field):
         return values
 
 
-@dataclass(frozen=True)
-class _Bounds:
-    """Of polynomials on simplices, as `effects.field.Bounds` has it."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-    degree: np.ndarray
-
-    @property
-    def whole(self) -> np.ndarray:
-        return np.ones(len(self.degree), dtype=bool)
-
-    @property
-    def defined(self) -> np.ndarray:
-        return self.finite
-
-    @property
-    def finite(self) -> np.ndarray:
-        return np.isfinite(self.lower) & np.isfinite(self.upper)
-
-    def derivative(self, k: int) -> np.ndarray:
-        return np.full(len(self.degree), np.inf)
-
-
 @dataclass(frozen=True, eq=False)
-class _Piecewise:
-    """A Function on parts of cells: `effects.field.Enclosed`."""
+class _Piecewise(Enclosed):
+    """A Function on parts of cells, which no condition cuts."""
 
     function: fem.Function
     degree: int
     corners: np.ndarray
     cells: np.ndarray
 
-    def once(self) -> _Bounds:
+    def once(self) -> Bounds:
         every = np.arange(len(self.cells))
         low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
-        return _Bounds(low, high, np.full(len(every), self.degree))
-
-    def by_intervals(self) -> tuple[_Bounds, np.ndarray]:
-        return self.once(), np.zeros(len(self.cells), dtype=bool)
+        defined = np.isfinite(low) & np.isfinite(high)
+        return Bounds(low, high, np.full(len(every), self.degree), np.ones(len(every), dtype=bool), defined)
 
     def some(self, cells: np.ndarray) -> _Piecewise:
         return _Piecewise(self.function, self.degree, self.corners[cells], self.cells[cells])
-
-    def truth(self) -> Truth:
-        bounds = self.once()
-        return Truth((bounds.lower != 0) | (bounds.upper != 0), (bounds.lower <= 0) & (bounds.upper >= 0))
-
-    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """No condition cuts them."""
-        unknown = np.full(len(cells), np.inf)
-        return np.zeros((len(cells), self.corners.shape[1])), unknown, unknown
-
-    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """There are none."""
-        return self.linear(cells)[:2]
 
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         points = polynomials.inner_points(self.corners.shape[1], degree)
@@ -345,8 +306,7 @@ class OfExpression(Field):
         if foreign(self.ufl, level.mesh.ufl_domain()):
             raise InputError(
                 f"{self.source} is a UFL expression, which is defined on its own mesh only, not on a refined or "
-                "another "
-                "one; use a formula, a callable or a Function"
+                "another one; use a formula, a callable or a Function"
             )
         here = OfExpression(self.ufl, self.source)
         sampled = fem.Function(releases.functionspace(level.mesh, "DG", 2))

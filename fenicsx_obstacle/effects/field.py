@@ -6,14 +6,16 @@ a scene are another class of it, and a plug-in may have one of its own.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fenicsx_obstacle.errors import InputError
 
 if TYPE_CHECKING:  # reading a scene imports no finite elements
-    import numpy as np
     from dolfinx import fem
 
 Names = Mapping[
@@ -22,7 +24,8 @@ Names = Mapping[
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 
 
-class Bounds(Protocol):
+@dataclass(frozen=True, eq=False)
+class Bounds:
     """Bounds of a datum over simplices.
 
     Attributes:
@@ -31,25 +34,23 @@ class Bounds(Protocol):
         degree: As a polynomial where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether no condition cuts a simplex.
         defined: Whether it has a value all over it.
-        finite: Whether the bounds are.
     """
 
+    lower: np.ndarray
+    upper: np.ndarray
+    degree: np.ndarray
+    whole: np.ndarray
+    defined: np.ndarray
+
     @property
-    def lower(self) -> np.ndarray: ...
-    @property
-    def upper(self) -> np.ndarray: ...
-    @property
-    def degree(self) -> np.ndarray: ...
-    @property
-    def whole(self) -> np.ndarray: ...
-    @property
-    def defined(self) -> np.ndarray: ...
-    @property
-    def finite(self) -> np.ndarray: ...
+    def finite(self) -> np.ndarray:
+        """Whether finite bounds are known and the value is defined."""
+        return np.isfinite(self.lower) & np.isfinite(self.upper) & self.defined
 
     def derivative(self, k: int) -> np.ndarray:
         """A bound of its derivative of order k = 1 .. 5 in any direction, divided by k!; where it is not `whole` the
         first alone holds, on both sides of what may be a kink or a jump."""
+        return np.full(len(self.lower), np.inf)
 
 
 @dataclass(frozen=True)
@@ -84,20 +85,31 @@ class TimeBounds:
     second: np.ndarray
 
 
-class Enclosed(Protocol):
-    """Enclosure of a datum on simplices."""
+class Enclosed(ABC):
+    """Enclosure of a datum on simplices; by default nothing is known where a condition cuts them.
 
+    Attributes:
+        corners: Of the simplices, shape (simplices, corners, coordinates).
+    """
+
+    corners: np.ndarray
+
+    @abstractmethod
     def once(self) -> Bounds:
         """Bounds over each simplex."""
 
     def by_intervals(self) -> tuple[Bounds, np.ndarray]:
         """Bounds that cost less, and the simplices where `once` may find sharper ones."""
+        return self.once(), np.zeros(len(self.corners), dtype=bool)
 
+    @abstractmethod
     def some(self, cells: np.ndarray) -> Enclosed:
         """The same on some of the simplices."""
 
     def truth(self) -> Truth:
         """Whether it may be true and may be false as a condition; numbers other than 0 are true."""
+        found = self.once()
+        return Truth((found.lower != 0) | (found.upper != 0), (found.lower <= 0) & (found.upper >= 0))
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of some simplices that a condition cuts.
@@ -106,6 +118,8 @@ class Enclosed(Protocol):
             Values of a linear function at the corners, shape (simplices, corners); bounds of its distance to the datum;
             and bounds of the gradient of the difference, where the datum is continuous.
         """
+        unknown = np.full(len(cells), np.inf)
+        return np.zeros((len(cells), self.corners.shape[1])), unknown, unknown
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where a condition changes in some simplices.
@@ -114,7 +128,9 @@ class Enclosed(Protocol):
             Values at the corners, shape (simplices, corners), of a linear function whose sign decides a condition, but
             where it is no larger than the second result; that is infinite where no line is known.
         """
+        return np.zeros((len(cells), self.corners.shape[1])), np.full(len(cells), np.inf)
 
+    @abstractmethod
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         """Values at the points that determine a polynomial of a degree, shape (simplices, points)."""
 

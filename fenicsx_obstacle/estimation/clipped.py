@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed, Field, Names, Truth
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.simplex_geometry import gradients
 
 
@@ -65,14 +65,7 @@ class Clipped(Field):
 
 
 @dataclass(frozen=True, eq=False)
-class _ClippedBounds:
-    """As `effects.field.Bounds` has it."""
-
-    lower: np.ndarray
-    upper: np.ndarray
-    degree: np.ndarray
-    whole: np.ndarray
-    defined: np.ndarray
+class _ClippedBounds(Bounds):
     beyond: np.ndarray
     known: Bounds
 
@@ -85,9 +78,7 @@ class _ClippedBounds:
 
 
 @dataclass(frozen=True, eq=False)
-class _ClippedCells:
-    """As `effects.field.Enclosed` has it."""
-
+class _ClippedCells(Enclosed):
     known: Enclosed
     by: Clipped
     corners: np.ndarray
@@ -113,11 +104,6 @@ class _ClippedCells:
 
     def some(self, cells: np.ndarray) -> _ClippedCells:
         return _ClippedCells(self.known.some(cells), self.by, self.corners[cells])
-
-    def truth(self) -> Truth:
-        """Nothing is known of it: an obstacle is no condition."""
-        unknown = np.ones(len(self.corners), dtype=bool)
-        return Truth(unknown, unknown)
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A linear function that is not cut off is no farther from what is left of the obstacle."""

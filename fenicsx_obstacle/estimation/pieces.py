@@ -582,73 +582,29 @@ def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Samples:
-    """What samples show of a datum of which no bounds are known, as `effects.field.Enclosed` has it."""
+class _Samples(Enclosed):
+    """What samples show of a datum of which no bounds are known; of conditions they show nothing."""
 
     here: Field
     corners: np.ndarray
     names: Names
     cells: np.ndarray
 
-    def once(self) -> _SampledBounds:
-        return _SampledBounds(self.values(4, np.arange(len(self.corners))))
-
-    def by_intervals(self) -> tuple[_SampledBounds, np.ndarray]:
-        return self.once(), np.zeros(len(self.corners), dtype=bool)
+    def once(self) -> Bounds:
+        samples = self.values(4, np.arange(len(self.corners)))
+        whole = np.ptp(samples, axis=1) <= SHARP * np.abs(samples).max(axis=1, initial=0.0)
+        lower, upper = samples.min(axis=1, initial=np.inf), samples.max(axis=1, initial=-np.inf)
+        return Bounds(lower, upper, np.full(len(samples), 4), whole, np.isfinite(samples).all(axis=1))
 
     def truth(self) -> Truth:
-        """Of samples there is none."""
         unknown = np.ones(len(self.corners), dtype=bool)
         return Truth(unknown, unknown)
 
     def some(self, cells: np.ndarray) -> _Samples:
         return _Samples(self.here, self.corners[cells], self.names, self.cells[cells])
 
-    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Samples tell nothing of them."""
-        return np.zeros((len(cells), self.corners.shape[1])), np.full(len(cells), np.inf)
-
-    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Nor of it."""
-        unknown = np.full(len(cells), np.inf)
-        return np.zeros((len(cells), self.corners.shape[1])), unknown, unknown
-
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         points = polynomials.inner_points(self.corners.shape[1], degree)
         x, dim = np.zeros((3, len(cells) * len(points))), self.corners.shape[2]
         x[:dim] = (points @ self.corners[cells]).reshape(-1, dim).T
         return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
-
-
-@dataclass(frozen=True, eq=False)
-class _SampledBounds:
-    """Bounds of samples, shape (simplices, points)."""
-
-    samples: np.ndarray
-
-    @property
-    def lower(self) -> np.ndarray:
-        return self.samples.min(axis=1, initial=np.inf)
-
-    @property
-    def upper(self) -> np.ndarray:
-        return self.samples.max(axis=1, initial=-np.inf)
-
-    @property
-    def degree(self) -> np.ndarray:
-        return np.full(len(self.samples), 4)
-
-    @property
-    def whole(self) -> np.ndarray:
-        return np.ptp(self.samples, axis=1) <= SHARP * np.abs(self.samples).max(axis=1, initial=0.0)
-
-    @property
-    def defined(self) -> np.ndarray:
-        return np.isfinite(self.samples).all(axis=1)
-
-    @property
-    def finite(self) -> np.ndarray:
-        return self.defined
-
-    def derivative(self, k: int) -> np.ndarray:
-        return np.full(len(self.samples), np.inf)

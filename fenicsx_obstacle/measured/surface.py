@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Truth
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed
 
 EDGE = 1e-9  # of its size: how far outside the data a point may lie
 AT_ONCE = 2_000_000  # values of a table that are looked at together
@@ -60,32 +60,18 @@ class Surface(ABC):
         return np.zeros(corners.shape[:2])
 
 
-@dataclass(frozen=True)
-class SurfaceBounds:
-    """Bounds of measured data over simplices, as `effects.field.Bounds` has them.
+@dataclass(frozen=True, eq=False)
+class SurfaceBounds(Bounds):
+    """Bounds of measured data over simplices, `defined` where data cover them.
 
     Attributes:
-        lower: Lower bound.
-        upper: Upper bound.
-        degree: Of the polynomial where it is `whole`.
-        whole: Whether one polynomial gives it on the whole simplex.
-        defined: Whether data cover the simplex.
         steepest: Bound of the gradient.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    degree: np.ndarray
-    whole: np.ndarray
-    defined: np.ndarray
     steepest: np.ndarray
 
-    @property
-    def finite(self) -> np.ndarray:
-        return self.defined
-
     def derivative(self, k: int) -> np.ndarray:
-        return self.steepest if k == 1 else np.full(len(self.lower), np.inf)
+        return self.steepest if k == 1 else super().derivative(k)
 
 
 def bounds_of(
@@ -99,8 +85,8 @@ def bounds_of(
 
 
 @dataclass(frozen=True, eq=False)
-class OnSurface:
-    """A surface on simplices: `effects.field.Enclosed`.
+class OnSurface(Enclosed):
+    """A surface on simplices.
 
     Attributes:
         surface: The heights.
@@ -113,15 +99,8 @@ class OnSurface:
     def once(self) -> SurfaceBounds:
         return self.surface.bounds(self.corners)
 
-    def by_intervals(self) -> tuple[SurfaceBounds, np.ndarray]:
-        return self.once(), np.zeros(len(self.corners), dtype=bool)
-
     def some(self, cells: np.ndarray) -> OnSurface:
         return OnSurface(self.surface, self.corners[cells])
-
-    def truth(self) -> Truth:
-        found = self.once()
-        return Truth((found.lower != 0) | (found.upper != 0), (found.lower <= 0) & (found.upper >= 0))
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         corners = self.corners[cells]

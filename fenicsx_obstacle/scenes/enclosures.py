@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Truth
+from fenicsx_obstacle.effects.field import Enclosed, Truth
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.intervals import Enclosure
 from fenicsx_obstacle.scenes.tree_walk import TreeWalk
@@ -88,8 +88,8 @@ class Cells:
         return found
 
 
-class OnCells:
-    """One formula on cells, as `effects.field.Enclosed` has it."""
+class OnCells(Enclosed):
+    """One formula on cells."""
 
     def __init__(self, cells: Cells, formula: Formula):
         self.cells, self.formula = cells, formula

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.effects.field import Bounds
 from fenicsx_obstacle.scenes import derivative_bounds
 from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes, has_nan
 
@@ -24,7 +25,7 @@ MARGIN = 1 + 1e-12  # for round-off in bounds of derivatives, sums and products 
 
 
 @dataclass(frozen=True)
-class Enclosure:
+class Enclosure(Bounds):
     """Bounds of a value over cells.
 
     Attributes:
