@@ -85,9 +85,9 @@ def vec(u: fem.Function) -> PETSc.Vec:
     return PETSc.Vec().createGhostWithArray(ghosts, u.x.array, sizes, block, u.function_space.mesh.comm)
 
 
-def add_ghosts(u: fem.Function) -> None:
-    """Add what ranks hold at ghosts to the values of the owners (collective)."""
-    u.x.scatter_reverse(la.ScatterMode.add if OLD else la.InsertMode.add)
+def add_ghosts(u: Any) -> None:
+    """Add what ranks hold at ghosts to the values of the owners, of a Function or a vector of DOLFINx (collective)."""
+    getattr(u, "x", u).scatter_reverse(la.ScatterMode.add if OLD else la.InsertMode.add)
 
 
 def cell_dofs(V: fem.FunctionSpace) -> np.ndarray:

@@ -9,10 +9,11 @@ ghosts in 0.9.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx import mesh as dmesh
-from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
@@ -60,14 +61,13 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
         raise InputError("adaptive meshes need intervals, triangles or tetrahedra; use uniform refinement, 'refine'")
     marks, halves, order = _marks(mesh, marked)
     vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
-    count, mine = vertices.size_local, marks.array_r[: edges.size_local] > 0
+    count, mine = vertices.size_local, marks.array[: edges.size_local] > 0
     # points in the order of ranks, of each its vertices and then the middles of its marked edges
     first = before(comm, count + np.count_nonzero(mine))
-    place = marks.duplicate()
-    place.array[mine] = first + count + np.arange(np.count_nonzero(mine))
-    place.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
-    with place.localForm() as local:
-        middles = local.array_r[halves[:own]].astype(np.int64)
+    place = la.vector(edges)
+    place.array[np.flatnonzero(mine)] = first + count + np.arange(np.count_nonzero(mine))
+    place.scatter_forward()
+    middles = place.array[halves[:own]].astype(np.int64)
     kept = Numbers.of(comm, vertices).moved(np.array(comm.allgather(first)))
     number = np.hstack([kept[releases.cell_dofs(V)[:own]], middles])
     x = mesh.geometry.x[:, :gdim]
@@ -75,18 +75,15 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
     middle[halves] = corner[:, sides].mean(axis=2)
     points = np.vstack([points_of_nodes(V)[:count, :gdim], middle[: edges.size_local][mine]])
-    with marks.localForm() as local:
-        chosen = np.where(local.array_r[halves[:own]] > 0, order[halves[:own]], -1)
+    chosen = np.where(marks.array[halves[:own]] > 0, order[halves[:own]], -1)
     parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)
     new = releases.create_mesh(comm, number[parents[:, None], places], points, releases.cell_name(mesh), stay=True)
     rows = given_cells(new) - before(comm, len(parents))
-    for owner in (marks, place):
-        owner.destroy()
     return new, parents[rows].astype(np.int32), places[rows].astype(np.int8)
 
 
-def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[PETSc.Vec, np.ndarray, np.ndarray]:
-    """Marked edges as a ghosted vector, edges of local cells, and the place of each local edge in order of length
+def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Marked edges as a vector of DOLFINx, edges of local cells, and the place of each local edge in order of length
     (collective)."""
     dim, own = mesh.topology.dim, own_cells(mesh)
     mesh.topology.create_entities(1)
@@ -97,29 +94,23 @@ def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[PETSc.Vec, np.ndarray,
     else:
         halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(EDGES[dim]))
     order = _by_length(mesh, halves, edges.size_local + edges.num_ghosts)
-    size = edges.size_local, edges.size_global
-    marks = PETSc.Vec().createGhost(np.asarray(edges.ghosts, dtype=PETSc.IntType), size, comm=mesh.comm)
+    marks = la.vector(edges)
     _mark(marks, halves[:own][marked])
     faces = halves[:own][:, np.array(_FACES[dim])].reshape(-1, len(_FACES[dim][0]))
     longest = np.take_along_axis(faces, order[faces].argmax(axis=1)[:, None], axis=1)[:, 0]
     while True:
-        with marks.localForm() as local:
-            missing = (local.array_r[faces] > 0).any(axis=1) & (local.array_r[longest] == 0)
+        missing = (marks.array[faces] > 0).any(axis=1) & (marks.array[longest] == 0)
         if total(mesh.comm, np.count_nonzero(missing)) == 0:
             return marks, halves, order
         _mark(marks, longest[missing])
 
 
-def _mark(marks: PETSc.Vec, edges: np.ndarray) -> None:
+def _mark(marks: Any, edges: np.ndarray) -> None:
     """Mark local edges, on all ranks that have them (collective)."""
-    new = marks.duplicate()
-    with new.localForm() as local:
-        local.set(0.0)
-        local.array[edges.ravel()] = 1.0
-    new.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    marks.axpy(1.0, new)
-    marks.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
-    new.destroy()
+    marks.array[edges.ravel()] = 1.0
+    releases.add_ghosts(marks)
+    np.minimum(marks.array, 1.0, out=marks.array)
+    marks.scatter_forward()
 
 
 def _by_length(mesh: dmesh.Mesh, halves: np.ndarray, count: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -199,15 +199,10 @@ def _sorted(ends: np.ndarray, number: Numbers) -> np.ndarray:
 
 def _outer(mesh: dmesh.Mesh, edges: Any) -> np.ndarray:
     """Whether local edges of a plane mesh are on its boundary (collective)."""
-    size = edges.size_local, edges.size_global
-    flags = PETSc.Vec().createGhost(np.asarray(edges.ghosts, dtype=PETSc.IntType), size, comm=mesh.comm)
-    facets = np.asarray(dmesh.exterior_facet_indices(mesh.topology))
-    flags.array[facets[facets < edges.size_local]] = 1.0
-    flags.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
-    with flags.localForm() as local:
-        found = local.array_r > 0.5
-    flags.destroy()
-    return found
+    flags = la.vector(edges)
+    flags.array[np.asarray(dmesh.exterior_facet_indices(mesh.topology))] = 1.0
+    flags.scatter_forward()
+    return flags.array > 0.5
 
 
 @dataclass(frozen=True, eq=False)
