@@ -679,7 +679,7 @@ effects = eval(sys.argv[1])
 solve(Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, lower=-1, **effects))
 found = [name for name in sys.modules if name.startswith("fenicsx_obstacle.effects.")]
 found += [name for name in ("fenicsx_obstacle.answers.bodies", "fenicsx_obstacle.discrete.contact_nodes",
-          "fenicsx_obstacle.discrete.parts", "fenicsx_obstacle.discrete.peclet", "fenicsx_obstacle.discrete.rigid",
+          "fenicsx_obstacle.discrete.parts", "fenicsx_obstacle.discrete.drift", "fenicsx_obstacle.discrete.rigid",
           "fenicsx_obstacle.discrete.tensors", "fenicsx_obstacle.discrete.vector_levels",
           "fenicsx_obstacle.discrete.vector_problem",
           "fenicsx_obstacle.forms.elasticity", "fenicsx_obstacle.problems.vector_valued",

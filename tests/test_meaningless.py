@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, releases, solve
-from fenicsx_obstacle.discrete import residence, trapped_drift
+from fenicsx_obstacle.discrete import trapped_drift
 from fenicsx_obstacle.parallel import largest, smallest
 from tests.conftest import COMM, slow_except
 
@@ -391,7 +391,7 @@ def test_drift_with_a_way_out_is_solved_on_coarse_cells(drift):
 @pytest.fixture
 def residence_times(monkeypatch):
     """Calls of the system for the residence time."""
-    calls, compute = [], residence.residence_time
+    calls, compute = [], trapped_drift.residence_time
     monkeypatch.setattr(trapped_drift, "residence_time", lambda *given: calls.append(1) or compute(*given))
     return calls
 

@@ -83,7 +83,7 @@ class Answer(Solution):
         if self.tension is not None:
             return self.tension
         from fenicsx_obstacle.discrete.data import Data  # only if requested
-        from fenicsx_obstacle.discrete.time_differences import Moment
+        from fenicsx_obstacle.discrete.time_discretization import Moment
 
         time = self.record.get("time")
         data = Data(self.scene.model, self.level, None if time is None else Moment(time["t"], 0.0, 0.0))

@@ -157,7 +157,7 @@ def _data(answer: Answer) -> Data:
     moments = answer.scene.time
     if moments is None:
         return Data(answer.scene.model, answer.level)
-    from fenicsx_obstacle.discrete.time_differences import Moment  # only where a scene has time
+    from fenicsx_obstacle.discrete.time_discretization import Moment  # only where a scene has time
 
     moment = Moment.at_start(moments)
     moment.t = answer.record["time"]["t"]

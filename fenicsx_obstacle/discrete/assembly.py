@@ -20,11 +20,13 @@ from ufl.algorithms import expand_derivatives
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.affine import MOSTLY, Affine
 from fenicsx_obstacle.algebra.state import State
-from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import largest, smallest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
@@ -390,3 +392,24 @@ class Nodal(Affine, Forms):
         nothing = {zero: ufl.constantvalue.Zero(zero.ufl_shape)}
         parts = [ufl.replace(expand_derivatives(part), nothing) for _, part in self._energies_of(zero)]
         return [releases.form(part) for part in parts if any(one.integrand() != 0 for one in part.integrals())]
+
+
+def weights_of_cells(pair: Pair, V: fem.FunctionSpace) -> np.ndarray:
+    """D_i at owned dofs of V_h of pairs that define them cell by cell, such as Voronoi areas (collective).
+
+    Args:
+        pair: With `own_weights`.
+        V: Its P1 space.
+
+    Raises:
+        InputError: If one is not positive, against (3.6).
+    """
+    mesh = V.mesh
+    parts = pair.cell_weights(corners(mesh, slice(own_cells(mesh))))
+    D = fem.Function(V)
+    np.add.at(D.x.array, releases.cell_dofs(V)[: len(parts)].ravel(), parts.ravel())
+    releases.add_ghosts(D)
+    weights = D.x.array[: V.dofmap.index_map.size_local].copy()
+    if smallest(mesh.comm, weights) <= 0:
+        raise InputError(f"element {pair.name}: {pair.not_positive} (3.6)")
+    return weights

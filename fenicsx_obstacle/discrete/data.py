@@ -23,6 +23,7 @@ from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.samples import Samples
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
+from fenicsx_obstacle.discrete.time_discretization import Moment, Motion
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
@@ -31,7 +32,6 @@ from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.discrete.parts import Facets, Parts
-    from fenicsx_obstacle.discrete.time_differences import Moment, Motion
 
 
 class Weighted:
@@ -248,8 +248,6 @@ class Data(Samples):
     @cached_property
     def motion(self) -> Motion:
         """Derivatives in time."""
-        from fenicsx_obstacle.discrete.time_differences import Motion  # only where a model names one
-
         assert self.moment is not None
         return Motion(self.level, self.moment)
 

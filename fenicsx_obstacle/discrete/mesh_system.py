@@ -19,7 +19,7 @@ from fenicsx_obstacle.discrete.transfer import to_parents
 from fenicsx_obstacle.parallel import largest, smallest
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.residence import Drift
+    from fenicsx_obstacle.discrete.drift import Drift
 
 
 class MeshSystem(System):
@@ -109,7 +109,6 @@ class MeshSystem(System):
         velocity: Any = next((effect.value for effect in self.model.effects if effect.role == "drift"), None)
         if velocity is None:
             return None
-        from fenicsx_obstacle.discrete.peclet import peclet  # only where a model has drift
-        from fenicsx_obstacle.discrete.residence import Drift
+        from fenicsx_obstacle.discrete.drift import Drift, peclet  # only where a model has drift
 
         return Drift(velocity, peclet(self.data, velocity))

@@ -9,7 +9,7 @@ from fenicsx_obstacle.discrete.admissible import check_admissible
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import cell_means
-from fenicsx_obstacle.discrete.limit_load import HINT, check_limit_load
+from fenicsx_obstacle.discrete.limit_load import HINT, check_limit_load, torn
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.discrete.solvability import Support, check_support, forces_at_work
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
@@ -69,11 +69,9 @@ class Problem(MeshSystem):
         return (Nodal if self.affine and pair.nodal else Forms)(model.effects, self.data)
 
     def _checks(self) -> tuple[str, tuple[Check, ...]]:
-        """A hint, and the checks that only some effects need; none of their modules is loaded for other effects."""
+        """A hint, and the checks that only some effects need."""
         hint, checks = "", list[Check]()
         if any(effect.greatest(self.data) is not None for effect in self.model.effects):
-            from fenicsx_obstacle.discrete.torn_film import torn
-
             hint = HINT
             checks.append(torn)
         if any(effect.role == "drift" for effect in self.model.effects):

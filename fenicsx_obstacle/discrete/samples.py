@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -13,12 +13,10 @@ from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.shared_dofs import share
+from fenicsx_obstacle.discrete.time_discretization import Moment
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree, first_given
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.time_differences import Moment
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
 ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
@@ -45,8 +43,6 @@ class Samples:
             live: Whether `renew` is to take data anew that the caller has changed.
         """
         if model.time is not None and moment is None:
-            from fenicsx_obstacle.discrete.time_differences import Moment  # only where a model has time
-
             moment = Moment.at_start(model.time)
         self.model, self.level, self.moment, self.live = model, level, moment, live
         self.moving: dict[Cellwise, Callable[[], Cellwise]] = {}

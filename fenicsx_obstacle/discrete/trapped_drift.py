@@ -9,9 +9,8 @@ import numpy as np
 from fenicsx_obstacle.algebra.linear import LARGEST
 from fenicsx_obstacle.algebra.plausibility import moved_by, solved
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.discrete.drift import Drift, residence_time, speed
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
-from fenicsx_obstacle.discrete.peclet import speed
-from fenicsx_obstacle.discrete.residence import Drift, residence_time
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 

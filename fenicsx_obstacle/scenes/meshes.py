@@ -9,7 +9,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import files, shapes
-from fenicsx_obstacle.discrete.grids import coarsest_grid
 from fenicsx_obstacle.discrete.levels import Level, halves_at_once, of_mesh, of_pair, refined
 from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.discrete.meshing import moved
@@ -86,7 +85,7 @@ def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int]:
         dim = len(shape.cells)
         unknowns = shape.vertices(2.0**refine * scene.pair.degree)
         check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
-        mesh, sides, h, halvings = coarsest_grid(shape, comm)
+        mesh, sides, h, halvings = shapes.coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
     try:
         scene.pair.rule(_cells_of_rule(scene, level))

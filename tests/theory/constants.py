@@ -11,7 +11,7 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cell_weights import weights_of_cells
+from fenicsx_obstacle.discrete.assembly import weights_of_cells
 from fenicsx_obstacle.forms.pairs import Pair
 from tests.theory import singular_values
 

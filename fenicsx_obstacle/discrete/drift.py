@@ -1,8 +1,9 @@
-"""The longest time that drift and diffusion need to leave a domain, by exponential fitting.
+"""Drift: cell Peclet numbers, and the longest time that drift and diffusion need to leave a domain.
 
-It is the largest u of -div(mu grad u) + b . grad u + k u = 1 with u = 0 where it is held. Where the drift b flows away
-from some place on all sides u is the exponential of a work, which Galerkin's method and SUPG do not see on cells that
-do not resolve it. The matrix here has, for vertices i and j of a cell T, the entries of Scharfetter and Gummel (1969),
+This time is the largest u of -div(mu grad u) + b . grad u + k u = 1 with u = 0 where it is held, found by exponential
+fitting. Where the drift b flows away from some place on all sides u is the exponential of a work, which Galerkin's
+method and SUPG do not see on cells that do not resolve it. The matrix here has, for vertices i and j of a cell T, the
+entries of Scharfetter and Gummel (1969),
 
     A_ij = -w B(d_ij),   d_ij = b . (x_j - x_i)/mu,   B(d) = d/(e^d - 1),   A_ii = k_i - sum_j A_ij,
 
@@ -16,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TypeAlias
 
 import numpy as np
 from petsc4py import PETSc
@@ -23,12 +25,14 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import corner_simplices, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.peclet import Velocity, in_cells, mean_stiffness
+from fenicsx_obstacle.discrete.fields import array_of
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, total
 
-Solve = Callable[[PETSc.Mat, PETSc.Vec, PETSc.Vec], bool]
+Solve: TypeAlias = Callable[[PETSc.Mat, PETSc.Vec, PETSc.Vec], bool]
+Velocity: TypeAlias = tuple[Field, ...]
 
 
 @dataclass(eq=False)
@@ -48,6 +52,24 @@ class Drift:
     reaction: np.ndarray | None = None
     held: np.ndarray | None = None
     time: float = 0.0
+
+
+def peclet(data: Data, velocity: Velocity) -> float:
+    """The largest |drift| h/(2 tension), by the largest tension of each cell (collective).
+
+    Args:
+        data: Of the problem.
+        velocity: Components of the drift.
+    """
+    ratio = _speeds(data, velocity) / (2 * _of_cells(data, data.model.elastic.stiffness(data)))  # type: ignore[arg-type]
+    size = array_of(data.cell_size)
+    size = size[: own_cells(data.level.mesh)] if len(size) > 1 else size
+    return largest(data.level.comm, (ratio * size[:, None]).ravel())
+
+
+def speed(data: Data, velocity: Velocity) -> float:
+    """The largest |drift| (collective)."""
+    return largest(data.level.comm, _speeds(data, velocity).ravel())
 
 
 def residence_time(
@@ -71,8 +93,8 @@ def residence_time(
     dim = level.mesh.topology.dim
     dofs = np.asarray(V.dofmap.index_map.local_to_global(releases.cell_dofs(V)[: len(at), : at.shape[1]].ravel()))
     dofs = dofs.reshape(at.shape[:2]).astype(PETSc.IntType)  # of vertices, which are first
-    size, mu = _sizes(at, dim, releases.cell_name(level.mesh)), mean_stiffness(data)
-    flow = [in_cells(data, part) for part in velocity]
+    size, mu = _sizes(at, dim, releases.cell_name(level.mesh)), _mean_stiffness(data)
+    flow = [_in_cells(data, part) for part in velocity]
     pairs = list(combinations(range(at.shape[1]), 2))
     parts = np.zeros((*at.shape[:2], at.shape[1]))  # the matrix of each cell
     for i, j in pairs:
@@ -105,6 +127,27 @@ def residence_time(
     for owner in (A, x, b):
         owner.destroy()
     return found
+
+
+def _mean_stiffness(data: Data) -> np.ndarray:
+    """The mean tension of owned cells, shape (cells or 1,)."""
+    return _of_cells(data, data.model.elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
+
+
+def _in_cells(data: Data, value: Field) -> np.ndarray:
+    """The mean of a datum in owned cells, shape (cells or 1,)."""
+    return _of_cells(data, data.values(value)).mean(axis=1)
+
+
+def _speeds(data: Data, velocity: Velocity) -> np.ndarray:
+    return np.sqrt(sum(_of_cells(data, data.values(part)) ** 2 for part in velocity))
+
+
+def _of_cells(data: Data, values: np.ndarray) -> np.ndarray:
+    """Values at local dofs of W, or the one there is, in owned cells, shape (cells or 1, dofs of W in a cell or 1)."""
+    if len(values) == 1:
+        return values[:, None]
+    return values[releases.cell_dofs(data.level.W)[: own_cells(data.level.mesh)]]
 
 
 def _sizes(at: np.ndarray, dim: int, cell: str) -> np.ndarray:
