@@ -295,7 +295,7 @@ def scenes(name: str | None) -> None:
     solve ball                 commands take their names as well
     """
     from fenicsx_obstacle.scenes import catalogue
-    from fenicsx_obstacle.show.scenes import list_scenes
+    from fenicsx_obstacle.show.tables import list_scenes
 
     tell(list_scenes() if name is None else catalogue.text(name).removesuffix("\n"))
 

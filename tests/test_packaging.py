@@ -35,6 +35,7 @@ def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     for name in (
         "py.typed",
         "catalogue/ball.toml",
+        "show/templates/answer.html",
     ):
         assert f"fenicsx_obstacle/{name}" in names
     assert any(name.endswith("LICENSE") for name in names)

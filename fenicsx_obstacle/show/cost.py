@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
 from mpi4py import MPI
 
+from fenicsx_obstacle.io.origin import command, versions
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import cost_tables as tables
 from fenicsx_obstacle.show import page
+from fenicsx_obstacle.show.cost_plots import drawings
+from fenicsx_obstacle.show.figures import save, svg
 from fenicsx_obstacle.show.report import Say
+from fenicsx_obstacle.show.tables import columns
 from fenicsx_obstacle.studies import price
 from fenicsx_obstacle.studies.cost import CostStudy, Row
 from fenicsx_obstacle.studies.price import NORMS, Rows
@@ -70,27 +74,45 @@ def _say_row(row: Row, say: Say) -> None:
 def summary(rows: Rows, study: CostStudy) -> Iterator[str]:
     """The tables after the rows: time for one more digit, fastest methods, where methods end, the reference
     solution."""
-    yield from _lines(tables.NEXT, tables.next_digit(rows))
+    yield from columns([tables.NEXT, *tables.next_digit(rows)])
     yield ""
-    yield from _lines(["relative error", *(NORMS[norm] for norm in price.norms(rows))], tables.by_tolerance(rows))
+    yield from columns([tables.tolerance_heads(rows), *tables.by_tolerance(rows)])
     yield "in brackets: extrapolated from the last rows"
     yield ""
     best = tables.best_eps(rows)
     if best:
-        yield from _lines(tables.BEST, best)
+        yield from columns([tables.BEST, *best])
         yield ""
     yield fill(tables.against(rows), 110)
     for name, why in tables.ended(rows, study):
         yield fill(f"{name}: {why}", 110, subsequent_indent="  ")
 
 
-def _lines(heads: Sequence[str], table: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in [heads, *table]) for k in range(len(heads))]
-    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
-            for row in [heads, *table]]  # fmt: skip
+def headline(rows: Rows) -> str:
+    """Time for one more digit in one line."""
+    p = price.price(rows, "energy")
+    if p is None:
+        return "Cost of accuracy."
+    far = (
+        "; one more digit is not reached by extrapolation"
+        if p.factor is None
+        else f"; one more digit takes {p.factor:.2g} times that"
+    )
+    return f"Cost of accuracy: an energy error of {p.error:.1e} in {tables.duration(p.seconds)} by {p.choice}{far}."
 
 
 def _draw(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
-    from fenicsx_obstacle.show.cost_page import write_page  # with matplotlib: only once all rows are there
+    """Draw the plots and write the page (one rank).
 
-    return write_page(folder, study, rows)
+    Returns:
+        Names of the pictures.
+    """
+    drawn: dict[str, tuple[str, str]] = {}
+    for name, words, figure in drawings(rows):
+        save(figure, folder / f"{name}.png")
+        drawn[name] = words, svg(figure, name)
+    page.write_page(
+        folder / page.NAME, "cost", study.full, versions(), command(study.comm.size), headline=headline(rows),
+        rows=rows, study=study, drawn=drawn, tables=tables,
+    )  # fmt: skip
+    return [f"{name}.png" for name in drawn]

@@ -11,11 +11,6 @@ from fenicsx_obstacle.studies.price import NORMS, TOLERANCES, Rows
 
 HEADS = ("choice", "unknowns", "eps", "seconds", "MB", *NORMS, "DoA", "DoS", "DoE")
 THEORY = {"energy": "4/3", "l2": "2", "max": "2", "force": "2", "area": "2", "pressure": "2"}
-TAS = (
-    "Errors are relative. DoA, DoS, DoE: digits of accuracy, -log10(energy error), of size, log10(unknowns), and of "
-    "efficacy, -log10(energy error x seconds); the time-accuracy-size spectrum of Chang and others (2018). Seconds are "
-    "those of mesh, preparations, solve and, where meshes are adaptive, estimates and all meshes before."
-)
 NEXT = ["next digit of", "error so far", "by", "in", "a tenth of it", "by", "more time", "unknowns", "memory",
         "round-off at"]  # fmt: skip
 BEST = ["error in", "best eps ~ h^q: q", "theory", "h", "best eps", "paper's eps", "auto"]
@@ -32,6 +27,11 @@ def cells(row: Mapping[str, Any]) -> list[str]:
     ]  # fmt: skip
 
 
+def measured(rows: Rows) -> list[list[str]]:
+    """All rows with errors."""
+    return [cells(row) for row in price.solved(rows)]
+
+
 def next_digit(rows: Rows) -> list[list[str]]:
     """Time for one more digit, a line for each norm."""
     found = []
@@ -45,6 +45,11 @@ def next_digit(rows: Rows) -> list[list[str]]:
             after = [duration(p.next_seconds), p.next_choice, f"x {p.factor:.2g}", *size]
         found.append([NORMS[norm], f"{p.error:.1e}", p.choice, duration(p.seconds), *after, f"{p.floor:.0e}"])
     return found
+
+
+def tolerance_heads(rows: Rows) -> list[str]:
+    """The heads of `by_tolerance`."""
+    return ["relative error", *(NORMS[norm] for norm in price.norms(rows))]
 
 
 def by_tolerance(rows: Rows) -> list[list[str]]:

@@ -95,8 +95,14 @@ def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool
         spent = {"seconds": comm.bcast(seconds), "memory_mb": peak_memory_mb(comm)}
         answer = replace(answer, record={**answer.record, **spent})
         on_root(comm, write_record, folder, answer.record)
-    on_root(comm, page.write_answer_page, folder / page.NAME, answer.scene, answer.record, file, moving, drawn, others)
+    values = {"record": answer.record, "picture": file, "time_history": moving, "profiles": drawn, "others": others}
+    on_root(comm, _write_page, folder, answer, values)
     return answer, said
+
+
+def _write_page(folder: Path, answer: Answer, values: Mapping[str, Any]) -> None:
+    record = answer.record
+    page.write_page(folder / page.NAME, "answer", answer.scene, record["versions"], record["command"], **values)
 
 
 def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
@@ -249,9 +255,9 @@ def _draw_study(folder: Path, study: Study | Find, rows: list[Row], table: Study
         save(figure, folder / f"{name}.png")
         elements[name] = svg(figure, name)
     elements |= draw_rows(rows, study.vary, study.last.tables.u, folder)
-    page.write_study_page(
-        folder / page.NAME, study.last, rows, table, elements, picture if picture.exists() else None,
-        command(study.comm.size),
+    page.write_page(
+        folder / page.NAME, "study", study.last, rows[-1]["versions"], command(study.comm.size), record=rows[-1],
+        table=table, drawn=elements, picture=picture if picture.exists() else None,
     )  # fmt: skip
     return [f"{name}.png" for name in elements]
 

@@ -1,4 +1,4 @@
-"""Tables that grow row by row: measured values with their observed order beside the paper's; the same in LaTeX."""
+"""Tables: rows of studies with their observed orders beside the paper's, also in LaTeX; scenes; two results."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from fenicsx_obstacle.problems.summary import with_uncertainty
+from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
 from fenicsx_obstacle.studies.orders import lookup, order, parameter, quantities
 from fenicsx_obstacle.text import counted, short
@@ -109,6 +110,22 @@ class StudyTable:
         lines.append("\\midrule")
         lines += [" & ".join(_escape(cell.value) for cell in cells) + r" \\" for cells in self.rows]
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
+
+
+def list_scenes() -> str:
+    """The catalogue of scenes, one line for each."""
+    rows = [("name", "title", "free boundary", "regularity")]
+    for name in catalogue.names():
+        tables = catalogue.scene(name).tables
+        assert tables.exact is not None
+        rows.append((name, tables.title, tables.exact.free, tables.exact.regularity))
+    return "\n".join(columns(rows))
+
+
+def columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a table of words, each column as wide as its longest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def difference(found: Mapping[str, Any], first: str, second: str) -> str:
