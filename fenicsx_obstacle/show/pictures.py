@@ -146,17 +146,22 @@ def _line(patch: Patch, u: str, p: str) -> tuple[Any, str]:
 
 
 def _flat(patch: Patch, u: str, p: str) -> tuple[Any, str]:
-    """The graph of u in space, and the map of the pressure beside it."""
+    """The graph of u in space, and the map of the pressure beside it; without pyvista the map alone."""
     across, up, _ = np.ptp(patch.points, axis=0)
     wide = min(0.25 + 0.75 * across / up, 1.0)  # of the map with its scale, in units of its height
     page = blank(10.4 * (1.25 + wide) / 2.25, 4.5)
     left, right = page.add_gridspec(1, 2, width_ratios=(1.25, wide))
     scale = pressures(patch.fields["pressure"])
     who = draw_views(page, [left], patch, {"pressure": scale}, "graph", u)
-    axis = page.add_subplot(right)
+    seen = []
+    if who == "pyvista":
+        axis = page.add_subplot(right)
+        seen = [side for side in SIDES if _seen(patch, side, page.axes[0].get_zlim())]
+    else:
+        page, axis = figure(6.4, 4.8)
     draw_map(axis, patch, scale, u)
     page.colorbar(scale, ax=axis, shrink=0.85).set_label(fill(_cut(p, patch), 42), fontsize=8.5)
-    _legend(page, patch, OUT_OF_CONTACT, [side for side in SIDES if _seen(patch, side, page.axes[0].get_zlim())])
+    _legend(page, patch, OUT_OF_CONTACT, seen)
     return page, who
 
 

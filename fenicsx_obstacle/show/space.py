@@ -1,16 +1,17 @@
-"""Views in space: axes by matplotlib, surfaces by pyvista, or by matplotlib too."""
+"""Views in space: axes by matplotlib, surfaces by pyvista."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from textwrap import fill
 from typing import Any
 
 import numpy as np
 
 from fenicsx_obstacle.show import render
-from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, rim
-from fenicsx_obstacle.show.figures import INK, digits, over, power
+from fenicsx_obstacle.show.boundary import Patch
+from fenicsx_obstacle.show.figures import digits, over, power
 from fenicsx_obstacle.show.render import View
 
 HEIGHT = 0.42  # of the graph of u, in units of its widest side
@@ -18,7 +19,6 @@ MARGIN = 0.12  # of the box above and below the graph, in units of the range of 
 THINNEST = 0.01  # of the widest side of a box
 VISIBLE = 0.01  # of the height of the box
 ZOOM = {"graph": 1.2, "surface": 0.95, "solid": 0.95, "body": 0.95}  # of the box within its place on the page
-LIGHT = np.array([-0.25, -0.45, 0.86])
 
 
 def draw_views(
@@ -40,7 +40,7 @@ def draw_views(
         box: Lower and upper corner of the part that is drawn; by default everything.
 
     Returns:
-        Who drew it, and why.
+        Who drew it. Without pyvista there is a note in the place of each view, which says why.
     """
     arrays = {**patch.fields, "points": patch.points, "cells": patch.cells}
     arrays |= {} if facets is None else {"facets": facets}
@@ -65,15 +65,17 @@ def draw_views(
         for name, shown in scales.items()
     ]
     pictures, who = render.rendered(arrays, views)
-    for number, (place, view) in enumerate(zip(places, views, strict=True)):
+    if not pictures:
+        for place in places:
+            note = page.add_subplot(place, frame_on=False, xticks=[], yticks=[])
+            note.text(0.5, 0.5, fill(f"not drawn, because {who}", 40), ha="center", fontsize=9)
+        return f"matplotlib, without views in space: {who}"
+    for place, view, picture in zip(places, views, pictures, strict=True):
         axis = _box(page, place, view, label)
         if kind == "graph" and np.abs(patch.points[:, 2] - patch.fields["u"]).max() > VISIBLE * size[2]:
             axis.set_title("beyond an obstacle, u is drawn on its surface", fontsize=9)
-        if pictures:
-            _put(axis, view, pictures[number])
-        else:
-            _paint(axis, patch, view, scales[view.shown])
-    return who if pictures else f"matplotlib, because {who}"
+        _put(axis, view, picture)
+    return who
 
 
 def cut_at(patch: Patch) -> float:
@@ -130,42 +132,3 @@ def _put(axis: Any, view: View, picture: np.ndarray) -> None:
     (left, bottom), (right, top) = middle - half, middle + half
     axis.imshow(picture, extent=(left, right, bottom, top), aspect="auto", zorder=3, interpolation="antialiased",
                 clip_on=False)  # fmt: skip
-
-
-def _paint(axis: Any, patch: Patch, view: View, scale: Any) -> None:
-    """Every triangle in one colour, drawn by matplotlib from the farthest to the nearest."""
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
-
-    cells = patch.cells
-    if view.kind in ("solid", "body"):
-        middles = patch.points[cells].mean(axis=1)
-        cells = rim(cells[np.all((middles >= view.lower) & (middles <= view.upper), axis=1)])
-    values = patch.fields[view.shown][cells].mean(axis=1)
-    colours = scale.to_rgba(values)
-    if view.shown == "pressure":
-        apart = ~np.any(patch.fields["contact"][cells] > 0, axis=1) | np.isnan(values)
-        colours[apart] = _rgba(render.FREE, render.CLEAR if view.kind == "graph" else 1.0)
-    parts = [(patch.points[cells], colours)]
-    for side in SIDES if view.kind == "graph" else ():
-        if side in patch.fields:
-            points = np.column_stack([patch.points[:, :2], patch.fields[side]])
-            seen = np.any(patch.fields[LEVELS[side]][patch.cells] > 0, axis=1)
-            seen &= np.all((points >= view.lower) & (points <= view.upper), axis=1)[patch.cells].all(axis=1)
-            paint = np.tile(_rgba(render.OBSTACLE, 1.0 if side == "lower" else render.UPPER), (seen.sum(), 1))
-            parts.append((points[patch.cells[seen]], paint))
-    corners, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
-    flat = corners * view.scale
-    normals = np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    colours[:, :3] *= 0.62 + 0.38 * np.abs(normals @ LIGHT)[:, None]
-    axis.add_collection3d(Poly3DCollection(corners, facecolors=np.clip(colours, 0, 1), edgecolors="none"))
-    axis.text2D(0.0, 0.96, "each triangle in its mean colour", transform=axis.transAxes, fontsize=7.5, color="0.4")
-    if view.kind != "solid":
-        for line in free_boundary(patch):
-            axis.add_collection3d(Line3DCollection(line.points[line.cells], colors=INK, linewidths=1.6, zorder=4))
-
-
-def _rgba(colour: str, opacity: float) -> Any:
-    from matplotlib.colors import to_rgba
-
-    return to_rgba(colour, opacity)
