@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import time
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -184,54 +183,6 @@ def test_explain(name):
     assert done.returncode == 0
     for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "not included"):
         assert word in done.stdout
-
-
-def loads_none_of(modules, *arguments):
-    """Run a command in a process that must not have imported these modules at its end; what it says."""
-    code = (
-        "import sys\n"
-        f"sys.argv = {['x', *map(str, arguments)]!r}\n"
-        "from fenicsx_obstacle.__main__ import main\n"
-        "try: main()\nexcept SystemExit as end: assert not end.code\n"
-        f"loaded = {modules!r} & set(sys.modules)\n"
-        "assert not loaded, loaded"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def test_help_imports_nothing_heavy():
-    heavy = {"dolfinx", "petsc4py", "mpi4py", "numpy", "ufl", "matplotlib", "tests"}
-    if find_spec("dolfinx_solver") is not None:  # DOLFINx as pip installs it must find MPI loaded
-        heavy.remove("mpi4py")
-    said = loads_none_of(heavy, "--help")
-    assert "solve" in said
-
-
-@pytest.mark.slow
-def test_a_solve_loads_nothing_to_draw_with(tmp_path):
-    """A scene is solved, saved and summarised in about a second: drawing libraries alone take longer to load.
-
-    Nor is anything loaded that checks the program itself.
-    """
-    unwanted = {"matplotlib", "pyvista", "scipy", "tqdm", "gmsh", "tests"}
-    said = loads_none_of(unwanted, "solve", DEMOS / "disk.toml", "--output", tmp_path / "out")
-    assert "./obstacle plot" in said
-
-
-@pytest.mark.slow
-def test_the_library_loads_no_suites():
-    """All public names, and a solve from Python, without the suites that only `theory` and `hard` need."""
-    code = (
-        "import sys, fenicsx_obstacle as f\n"
-        "assert all(hasattr(f, name) for name in f.__all__)\n"
-        "f.solve('ball', cells=8)\n"
-        "assert 'fenicsx_obstacle.problems.solution' in sys.modules\n"
-        "assert 'tests' not in sys.modules"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow

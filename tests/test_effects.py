@@ -1,8 +1,6 @@
 """Effects beside tension and load: each against a solution that is known, by the penalty and by SNES VI."""
 
 import json
-import subprocess
-import sys
 from contextlib import closing
 
 import numpy as np
@@ -15,7 +13,7 @@ from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
-from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 from tests.hard.units import CONVERSIONS, Units, all_units
 from tests.test_cli import run
 
@@ -668,36 +666,6 @@ def test_an_effect_that_is_not_named_changes_nothing(disk):
         del _register["unnamed"]
 
 
-@pytest.mark.slow
-@pytest.mark.serial
-def test_only_what_is_named_is_imported():
-    """Modules of effects, of their data and of pictures: after a solve, only those of the scene."""
-    program = """
-import sys
-from fenicsx_obstacle import Scene, solve
-effects = eval(sys.argv[1])
-solve(Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, lower=-1, **effects))
-found = [name for name in sys.modules if name.startswith("fenicsx_obstacle.effects.")]
-found += [name for name in ("fenicsx_obstacle.answers.bodies", "fenicsx_obstacle.discrete.contact_nodes",
-          "fenicsx_obstacle.discrete.parts", "fenicsx_obstacle.discrete.drift", "fenicsx_obstacle.discrete.rigid",
-          "fenicsx_obstacle.discrete.tensors", "fenicsx_obstacle.discrete.vector_levels",
-          "fenicsx_obstacle.discrete.vector_problem",
-          "fenicsx_obstacle.forms.elasticity", "fenicsx_obstacle.problems.vector_valued",
-          "fenicsx_obstacle.scenes.bodies", "fenicsx_obstacle.scenes.body_report",
-          "pyvista", "matplotlib", "slepc4py", "gmsh") if name in sys.modules]
-print(*sorted(name.removeprefix("fenicsx_obstacle.") for name in found))
-"""
-    for effects, wanted in (
-        ({}, "effects.domain effects.domain.tension effects.effect effects.field"),
-        ({"foundation": 1, "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1}]},
-         "discrete.parts effects.boundary effects.boundary.spring effects.domain effects.domain.foundation "
-         "effects.domain.tension effects.effect effects.field"),
-    ):  # fmt: skip
-        command = [sys.executable, "-c", program, repr(effects)]
-        done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=100, check=False)
-        assert done.stdout.strip() == wanted, done.stderr
-
-
 PLUGIN = """
 [mesh]
 shape = "rectangle"
@@ -832,14 +800,6 @@ def test_one_class_is_a_whole_effect():
     assert record["speed"] == 0.6
     there = membrane(load="-8*exp(-30*(x - 0.8)^2)", lower=-0.1)
     assert record["energy"] == pytest.approx(solve(there).record["energy"])
-
-
-@pytest.mark.slow
-def test_lake_costs_one_linear_solve():
-    """No contact in reach: one Newton step with any affine effects."""
-    for more in ({}, {"foundation": 3}, {"tension": [[2, 1], [1, 2]]},
-                 {"boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": 1, "flux": 0.1}]}):  # fmt: skip
-        assert solve(membrane(load=1, lower=-1, **more), cells=64).record["newton_iterations"] == 1
 
 
 _U = "x*sin(pi*y)"  # 0 on three sides: boundary values take no part in the bound

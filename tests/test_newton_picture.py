@@ -1,7 +1,5 @@
 """Newton at work, drawn: the active sets are those of the solve, and nothing is done where nobody asks."""
 
-import subprocess
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -79,17 +77,3 @@ def test_what_is_not_flat_is_not_drawn(folder):
     for given in shapes:
         assert animate_newton(solve(membrane(**given)), folder / "newton.gif").endswith("not drawn")
     assert not list(folder.iterdir())
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-def test_nothing_is_imported_where_nobody_asks(tmp_path):
-    """`solve` without --newton imports neither the animation nor what it is made of."""
-    code = (
-        "import sys; from fenicsx_obstacle.cli import commands;"
-        "commands(['solve', 'disk_flat', '--cells', '8', '--quiet'], standalone_mode=False);"
-        "print([name for name in sys.modules if name.endswith(('iterates', 'show.newton'))"
-        " or name.startswith(('PIL', 'matplotlib'))])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert done.stdout.strip() == "[]"

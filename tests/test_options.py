@@ -1,8 +1,6 @@
 """Options of a solve: checked without a scene, filled from its table [solve], and written back into it."""
 
-import sys
 from dataclasses import replace
-from subprocess import run
 
 import pytest
 
@@ -67,14 +65,3 @@ def test_a_new_number_checks_no_scene(monkeypatch):
     monkeypatch.setattr(Scene, "_fill", None)
     for method in ("penalty", "vi"):
         assert context.answer(replace(context.options, method=method, eps=1e-3)).record["converged"]
-
-
-@pytest.mark.serial
-def test_options_need_no_scene():
-    """Options are there without scenes."""
-    code = (
-        "import sys; sys.modules['fenicsx_obstacle.scenes'] = None\n"
-        "from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions\n"
-        "print(SolverOptions(eps=EpsFormula('h', lambda h: h)).formula.value(0.5))"
-    )
-    assert run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "0.5\n"

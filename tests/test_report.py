@@ -2,8 +2,6 @@
 
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.distance import distance_to_simplices
 from fenicsx_obstacle.scenes import meshes
-from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 # on the unit interval, square or cube with u = 3*x and tension 2, for any mesh
 FIGURES = {
@@ -270,21 +268,6 @@ def test_distance_needs_a_boundary_in_the_same_space(folder):
     ):
         with pytest.raises(InputError, match=f"{key}: {words}"):
             solve(scene.change(change))
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-def test_nothing_that_is_not_named():
-    """Without [report] and distance their modules are not imported, and the record has no report."""
-    code = (
-        "import sys; from fenicsx_obstacle import Scene, solve\n"
-        "answer = solve(Scene(mesh={'shape': 'interval', 'cells': 4}, tension=1))\n"
-        "assert 'report' not in answer.record and answer.report == {}\n"
-        "print([m for m in sys.modules if m in ('fenicsx_obstacle.scenes.functionals', "
-        "'fenicsx_obstacle.discrete.distance', 'fenicsx_obstacle.discrete.points')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
-    assert done.stdout.strip() == "[]", done.stderr
 
 
 @pytest.mark.parametrize("element", ("P2", "Q1", "Q2"))

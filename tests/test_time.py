@@ -1,8 +1,6 @@
 """Scenes with [time]: orders in the length of a step, energies, moving data, states to go on from."""
 
 import math
-import subprocess
-import sys
 from contextlib import closing
 
 import numpy as np
@@ -413,21 +411,6 @@ def test_states_are_of_one_mesh(folder):
     with pytest.raises(InputError, match="belongs to another mesh"):
         solve(scene.change({"mesh.cells": 17, "time.end": 2}), restart=folder)
     assert solve(scene.change({"time.end": 2, "time.steps": 4}), restart=folder).record["time"]["steps"] == 4
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-def test_at_rest_nothing_of_time_is_imported(tmp_path):
-    """A scene without [time] imports no module of steps, marches or courses."""
-    code = (
-        "import sys; from fenicsx_obstacle import Answer, Scene, solve;"
-        "solve(Scene(mesh={'shape': 'interval', 'cells': 8}, tension=1, load=-1, lower=-0.1)).save('out');"
-        "Answer.read('out');"
-        "print([name for name in sys.modules if name.startswith('fenicsx_obstacle') and name.rsplit('.', 1)[-1] in"
-        " ('motion', 'steps', 'march', 'checkpoint', 'course', 'frames')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert done.stdout.strip() == "[]"
 
 
 def test_a_column_that_is_not_there():
