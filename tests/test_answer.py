@@ -7,7 +7,8 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve, study
+from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, compare, solve, study
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest, on_root, total
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 
@@ -35,8 +36,6 @@ def test_contact_of_the_ball(ball):
 
 def test_force_balance(disk):
     """Load = contact force + support reactions, to the accuracy of the solver."""
-    from fenicsx_obstacle.answers.solver_context import SolverContext
-
     context = SolverContext(disk)
     record = context.answer().record
     problem = context.problem
@@ -141,6 +140,34 @@ def test_one_line_says_what_it_is(ball):
     assert "  1 Newton step, " in linear.summary()
     assert "512 cells, 289 unknowns" in linear.summary()
     assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge in 1 step (h = 1): no"
+
+
+def test_compare_on_one_mesh():
+    """penalty against VI: the distances of the eps-study, sets that differ by a layer."""
+    scene = Scene.read(DEMOS / "disk.toml").change({"solve.eps": 1e-4, "mesh.cells": 32})
+    context = SolverContext(scene)
+    penalty, vi = context.answer(), context.answer(scene.options_with(method="vi"))
+    found = compare(penalty, vi)
+    assert np.isclose(found["u"]["max"], 4e-4, rtol=1e-3)
+    assert 0 < found["u"]["l2"] < found["u"]["h1"]
+    assert np.isclose(found["u"]["energy"] ** 2 + found["u"]["l2"] ** 2, found["u"]["h1"] ** 2)
+    assert 0.9 < found["contact"]["jaccard"] <= 1
+    assert found["contact"]["hausdorff"] <= 2 * vi.level.h
+    assert found["outside"] == 0
+    assert compare(vi, vi)["u"]["max"] < 1e-15
+    assert compare(vi, vi)["contact"] == {"jaccard": 1.0, "hausdorff": 0.0, "area": [vi.record["contact"]["area"]] * 2}
+
+
+@pytest.mark.slow
+def test_compare_on_two_meshes():
+    """A coarse answer against a finer one: about the coarse error, in both orders of the arguments."""
+    scene = Scene.read(DEMOS / "ball.toml")
+    coarse, fine = solve(scene, cells=32, method="vi"), solve(scene, cells=64, method="vi")
+    found = compare(coarse, fine)
+    assert found["u"] == compare(fine, coarse)["u"]
+    assert 0.5 < found["u"]["l2"] / coarse.record["errors"]["l2"] < 1.2
+    assert 0.7 < found["contact"]["jaccard"] < 1
+    assert found["contact"]["hausdorff"] < 2 * coarse.level.h
 
 
 @pytest.mark.serial

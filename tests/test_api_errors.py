@@ -118,15 +118,15 @@ def test_constants_for_numbers():
     assert largest(COMM, np.abs(without[0] - without[1])) < 1e-15 and largest(COMM, without[0]) > 0.05
 
 
-@pytest.mark.parametrize("scale", [1.0, 1e6, 1e-6])
-def test_automatic_eps(scale):
+@pytest.mark.parametrize(("scale", "cells"), [(1.0, 12), (1e6, 12), (1e-6, 8)])
+def test_automatic_eps(scale, cells):
     """eps = "auto" follows the units of F: a hundredth of the median of D_i/A_ii, h^2/400 here over the tension."""
-    own = Own(square(12))
+    own = Own(square(cells))
     F, energy = (scale * form for form in (own.F, own.energy))
     for given in ({}, {"energy": energy}):
         own.u.x.array[:] = 0.0
         answer = ObstacleProblem(F, own.u, bcs=own.bc, upper=0.3, **given).solve(eps="auto")
-        assert answer.eps == pytest.approx(1 / 12**2 / 400 / scale, rel=1e-9)
+        assert answer.eps == pytest.approx(1 / cells**2 / 400 / scale, rel=1e-9)
         assert answer.penetration < 8 * scale * answer.eps * (1 + 1e-9)
         assert answer.penetration < 0.01 * 0.3
 
@@ -194,8 +194,9 @@ def test_a_callable_that_fails_on_one_rank_fails_on_all():
 @pytest.mark.parametrize(
     "eps, message",
     [("1e-6", "eps = '1e-6': expected a number, a Constant or 'auto'"), (-1.0, "eps = -1: must be positive"),
-     (float("nan"), "eps = nan: must be positive"), (np.inf, "must be positive"),
-     (True, "eps = True: expected"), ([1e-6], "expected a number"), ("Auto", "expected a number")],
+     (0, "eps = 0: must be positive"), (float("nan"), "eps = nan: must be positive"), (np.inf, "must be positive"),
+     (True, "eps = True: expected"), ([1e-6], "expected a number"), ("Auto", "expected a number"),
+     (1e-40, "below the limit of round-off")],
 )  # fmt: skip
 def test_eps_that_is_none(eps, message):
     """What eps may be, and what it is not."""
@@ -223,6 +224,11 @@ def test_forms_and_conditions_of_another_kind():
         ((F + fem.Constant(mesh, 1j) * v * ufl.dx, u), {}, "F holds complex numbers"),
         ((F, u), {"energy": own.energy + ufl.imag(u) * ufl.dx}, "energy holds complex numbers"),
         ((F, u), {"energy": F}, "energy must be a functional of u"),
+        ((F, u), {"energy": 1}, "ObstacleProblem: energy = 1: expected a UFL form, a functional of u"),
+        ((F, u), {"J": 1}, "ObstacleProblem: J = 1: expected a UFL form, a bilinear form"),
+        ((F, u), {"upper": None}, "ObstacleProblem: give an obstacle, lower= or upper="),
+        ((F, u), {"lower": 0.4}, "lower is above upper"),
+        ((F, u), {"lower": 0.1}, "ObstacleProblem: a value of bcs lies below the lower obstacle: 0 against"),
         ((F, u), {"energy": other.energy}, "energy does not depend on u"),
         ((F, u), {"bcs": 3}, "bcs = 3: expected a list"),
         ((F, u), {"bcs": [own.bc, None]}, r"bcs\[1\] = None: expected what dolfinx"),
@@ -465,8 +471,9 @@ def test_points_of_another_kind():
 
 
 def test_numbers_of_numpy_are_numbers():
-    """Tolerances and numbers of cells from arrays."""
-    record = solve(SCENE, cells=np.int32(8), tol=np.float32(0.5)).record
+    """Data, tolerances and numbers of cells from arrays."""
+    scene = membrane(load=np.float32(8), upper=np.float64(0.3), tension=np.int64(1))
+    record = solve(scene, cells=np.int32(8), tol=np.float32(0.5), eps=np.float64(1e-6)).record
     assert record["adaptive"]["reached"] and total(COMM, 1.0) == COMM.size
 
 

@@ -260,3 +260,12 @@ def test_a_warning_that_is_an_error_is_one_on_all_ranks() -> None:
         warnings.simplefilter("error")
         with pytest.raises(UserWarning, match="words"):
             warn(COMM, "words")
+
+
+def test_discontinuous_data_on_grid_lines() -> None:
+    """Points are those of the mesh to the last digit: no rank sees a step of the obstacle on another side."""
+    stairs = "where(x < -0.5, -0.2, where(x < 0, -0.4, where(x < 0.5, -0.6, -0.8)))"
+    shape = {"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 32}
+    scene = Scene(mesh=shape, tension=1, load=-10, lower=stairs)
+    energies = [solve(scene, eps=1e-8).record["energy"] for _ in range(2)]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-9)
