@@ -82,10 +82,7 @@ def largest(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
 def _on_parts(corners: int, degree: int) -> np.ndarray:
     """Coefficients on the parts of a simplex with its edges halved `SPLITS` times from those on all of it, once each:
     neighbours share those on the side between them."""
-    parts = np.eye(corners)[None]
-    for _ in range(SPLITS):
-        parts = halved(parts)
-    found = to_parts(parts, degree)
+    found = to_parts(halvings(corners, SPLITS), degree)
     found = found.reshape(-1, found.shape[2])
     return found[np.unique(found.round(9), axis=0, return_index=True)[1]]
 
@@ -126,6 +123,16 @@ def halved(corners: np.ndarray) -> np.ndarray:
         parts += [(ac, bd, p, q) for p, q in ((ab, bc), (bc, cd), (cd, ad), (ad, ab))]
     stacked = np.stack([np.stack(part, axis=1) for part in parts], axis=1)
     return stacked.reshape(-1, *corners.shape[1:])
+
+
+@cache
+def halvings(corners: int, times: int) -> np.ndarray:
+    """Barycentric coordinates of the corners of the parts of a simplex with its edges halved so many times, the parts
+    of one parent consecutive, shape (parts, corners, corners)."""
+    parts = np.eye(corners)[None]
+    for _ in range(times):
+        parts = halved(parts)
+    return parts
 
 
 def round_off(values: np.ndarray, corners: int, degree: int) -> np.ndarray:

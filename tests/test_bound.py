@@ -15,13 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import InputError, Scene, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
-from fenicsx_obstacle.estimation.simplices import halved_rule
+from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue
@@ -29,6 +29,12 @@ from tests.conftest import COMM, membrane, slow_except
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 ROUND_OFF = 1e-12
+
+
+def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
+    """The rule in each of the 4^times parts of a triangle with its edges halved."""
+    (points, weights), parts = rule(2), polynomials.halvings(3, times)
+    return (points @ parts).reshape(-1, 3), np.tile(weights, len(parts)) / len(parts)
 
 
 @cache

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle import Scene, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
-from fenicsx_obstacle.estimation.oscillation import _energies, _parts, poincare
+from fenicsx_obstacle.estimation.oscillation import _energies, poincare
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import add_ghosts
 from tests.conftest import COMM, membrane
@@ -135,7 +135,7 @@ def test_poincare():
         metric = np.array([(x[1] - x[0]) @ (x[1] - x[0]), (x[1] - x[0]) @ (x[2] - x[0]), (x[2] - x[0]) @ (x[2] - x[0])])
         upper = []
         for depth in range(1, 5):
-            inside = _parts(depth)
+            inside = polynomials.halvings(3, depth)
             values = (inside @ x)[..., 0].mean(axis=1)  # the first coordinate
             means = (values - values.mean()) * area / len(values)
             squared = np.einsum("k,kij,i,j", metric / (2 * area), _energies(depth), means, means)

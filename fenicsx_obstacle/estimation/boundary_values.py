@@ -7,6 +7,8 @@ import numpy as np
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest
 
+ROUND_OFF = 1e-14  # relative to the values of u: of a difference of a datum and what interpolates it
+
 
 class BoundaryValues:
     """The difference d of boundary values and their nodal interpolant, extended into the domain; 0 in this class.

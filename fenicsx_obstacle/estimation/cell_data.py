@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
@@ -21,7 +21,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.piece_integrals import distance
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.simplices import Simplices, integrals
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -226,7 +226,7 @@ class Load:
         simplices, area, size = self._simplices, self._simplices.area, self._simplices.size
         flat = _rows(self.moments)  # a view
         ratio = size / area
-        for part in (group[block] for group in pieces.groups for block in _blocks(group)):
+        for part in pieces.portions():
             points, weights = rule(self._dim, part.degree + 2)  # the weight of integrals is linear
             tests = _rows(_at(self._tests, part.points(points)), 2)
             found = polynomials.combined(tests.transpose(0, 2, 1), part.values(points) * weights)
@@ -331,10 +331,8 @@ class Tension:
             group.add_to(spread, group.share * rest * group.mean_weight(self._simplices.radius))
             varies = (group.degree > 0) | (rest > 0) | (group.corners is not None)
             self.varies[group.rows[varies]] = True
-            self._parts += [
-                replace(group, lower=lower, upper=upper, rest=rest)[np.flatnonzero(varies)[block]]
-                for block in _blocks(group, np.count_nonzero(varies))
-            ]
+            near = replace(group, lower=lower, upper=upper, rest=rest)
+            self._parts += near[np.flatnonzero(varies)].portions()
         ratio = self._simplices.size / self._area
         self.least_mean = np.maximum(mean - spread, self.least * ratio)
         self.most_mean = np.minimum(mean + spread, self.most * ratio)
@@ -415,11 +413,6 @@ class Tension:
             found = np.maximum((part.values(points) * gg) @ weights - part.rest * (gg @ weights),
                                part.lower * (gg @ weights))  # fmt: skip
             part.add_to(squares, part.share * self._area[part.rows] * found)
-
-
-def _blocks(group: Group, count: int | None = None) -> Iterator[slice]:
-    """Parts of a group in portions that fit into memory."""
-    return blocks(len(group.rows) if count is None else count)
 
 
 def _at(functions: Callable[[np.ndarray], np.ndarray], points: np.ndarray) -> np.ndarray:

@@ -103,10 +103,7 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
     upper = np.array([largest(comm, x[..., axis]) for axis in range(dim)])
     sides = upper - lower
     radius = simplices.radius
-    outer = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
-    facets = level.boundary_facets
-    outer[facets[facets < len(outer)]] = True
-    cells, opposite = np.nonzero(outer[simplices.facets])
+    cells, opposite = np.nonzero(simplices.on_sides(level.boundary_facets))
     held = held_sides[cells, opposite]
     ends = np.stack([x[cells, (opposite + k) % (dim + 1)] for k in range(1, dim + 1)], axis=1)
     size = np.linalg.norm(simplices.normal[:, cells, opposite], axis=0)

@@ -12,15 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
+from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.edges import Jumps, edges_of
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
-from fenicsx_obstacle.estimation.quadrature import gauss
+from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 EDGES = Division(24, 1e-4, 1e-8)  # what counts is the distance of a boundary value and of its slope to the interpolant
-ROUND_OFF = 1e-14  # relative to the values of u
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +70,7 @@ class DirichletData(BoundaryValues):
         """
         self.simplices, data, self._middles = simplices, simplices.data, middles
         cells, values = len(simplices.area), data.fixed[1].x.array
-        part = np.full(max(simplices.facets.max(initial=-1) + 1, 1), -1, dtype=np.int32)
-        for number, facets in enumerate(data.held):
-            part[facets[facets < len(part)]] = number  # of two parts the later one counts
+        part = simplices.last_on_sides(data.held)
         self._given = [(number, one.value) for number, one in enumerate(data.model.boundary) if one.value is not None]
         comm = data.level.comm
         self._heights = max(largest(comm, np.abs(values[data.fixed[0]])), 0.0)
@@ -83,7 +80,7 @@ class DirichletData(BoundaryValues):
         self.cells, self.opposite, self._number = (np.empty(0, dtype=int) for _ in range(3))
         self._differences: list[_Difference] = []
         for number, value in self._given:
-            beside, opposite = np.nonzero(part[simplices.facets] == number)
+            beside, opposite = np.nonzero(part == number)
             ends = values[simplices.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
             edges = edges_of(simplices, beside, opposite)
             jumps.look(value, edges, ends)
@@ -175,8 +172,8 @@ class DirichletData(BoundaryValues):
         length, height, foot = self._shapes()
         known, unknown = np.zeros(len(length)), np.zeros(len(length))
         for d in self._differences:
-            t, weights = gauss(d.degree + 1)
-            points, size = np.column_stack([1 - t, t]), length[d.edges] * d.share
+            points, weights = rule(1, 2 * d.degree + 1)
+            t, size = points[:, 1], length[d.edges] * d.share
             H = height[d.edges, None]
             along = polynomials.slopes(d.coefficients, 2, d.degree)
             slope = polynomials.evaluate(along[:, 1] - along[:, 0], points, d.degree - 1) / size[:, None]

@@ -274,10 +274,7 @@ def cut_parts(simplices: Simplices) -> list[str]:
         return found
     extent = data.extent
     sides = "edges" if dim == 2 else "facets"
-    outer = np.zeros(max(simplices.facets.max(initial=-1) + 1, 1), dtype=bool)
-    facets = level.boundary_facets
-    outer[facets[facets < len(outer)]] = True
-    cells, opposite = np.nonzero(outer[simplices.facets])
+    cells, opposite = np.nonzero(simplices.on_sides(level.boundary_facets))
     members = np.array([[k for k in range(dim + 1) if k != a] for a in range(dim + 1)])[opposite]
     x = simplices.x[cells[:, None], members]
     middle = x.mean(axis=1, keepdims=True)

@@ -26,7 +26,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
 
-ROUND_OFF = 1e-9  # relative to the values of u,
+CROSSING = 1e-9  # relative to the values of u: obstacles that cross each other by less do so by round-off,
 UNDERFLOW = 1e-290  # or where all are 0: intervals are rounded outward by 1e-300
 
 
@@ -200,7 +200,7 @@ class Element(ABC):
             crossing: By how much, at most.
             v: Values of the function.
         """
-        limit = ROUND_OFF * largest(self.simplices.data.level.comm, np.abs(v)) + UNDERFLOW
+        limit = CROSSING * largest(self.simplices.data.level.comm, np.abs(v)) + UNDERFLOW
         return crossing if crossing > limit else 0.0
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.halving import EDGES
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
@@ -18,7 +18,6 @@ from fenicsx_obstacle.releases import cell_name
 
 TOUCHES = 1e-14  # relative to the values of u
 DEPTH = {1: 40, 2: 12}  # how often cells are halved; in solids, where contact is not found so, never
-_CHILDREN = {1: [(0, 2), (2, 1)], 2: [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)]}
 
 
 def exact_contact(model: Model, exact: ExactSolution | None, level: Level) -> dict[str, float]:
@@ -70,13 +69,6 @@ def exact_contact(model: Model, exact: ExactSolution | None, level: Level) -> di
         area += float((size * touching[:, : len(points)].dot(weights))[done].sum())
         force += float((size * pressing)[done].sum())
         if not last:
-            cells = _halved(cells[mixed], dim)
+            cells = polynomials.halved(cells[mixed])
     found = {"area": total(level.comm, area)}
     return {**found, "force": total(level.comm, force)} if p is not None else found
-
-
-def _halved(cells: np.ndarray, dim: int) -> np.ndarray:
-    """Their parts with all edges halved, shape (parts, dim + 1, 3)."""
-    middles = np.stack([(cells[:, i] + cells[:, j]) / 2 for i, j in EDGES[dim]], axis=1)
-    places = np.concatenate([cells, middles], axis=1)
-    return places[:, np.array(_CHILDREN[dim])].reshape(-1, dim + 1, 3)

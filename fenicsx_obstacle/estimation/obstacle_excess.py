@@ -14,7 +14,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
+from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.piece_integrals import LOWEST, highest_above, mean_above
@@ -26,7 +26,6 @@ from fenicsx_obstacle.parallel import largest, total
 SHARPER = (Division(0, 2e-3, degree=2), Division(4, 2e-3, 1e-3, 2))
 BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
 FEW = 20_000  # while there are so few parts: on fine meshes they matter less
-ROUND_OFF = 1e-14  # relative to the values of u
 
 
 class ObstacleExcess:

@@ -20,7 +20,7 @@ from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.piece_integrals import distance
-from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
+from fenicsx_obstacle.estimation.pieces import Division, Pieces, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
@@ -112,7 +112,7 @@ class Oscillation:
                     away = simplices.x[block, :, k] - simplices.middle[block, k : k + 1]
                     self.first[k, block] = sums(moments[block] * away)
         if degree == 0:
-            self._add_second(load.pieces.groups, mean)
+            self._add_second(load.pieces, mean)
         beyond = load.oscillation**2 - (of_linear if degree == 0 else 0.0)
         self.beyond = np.sqrt(np.maximum(beyond, 0.0))
         rough = np.flatnonzero(beyond > UNRESOLVED * (beyond + of_linear))
@@ -142,19 +142,16 @@ class Oscillation:
             found -= (sums(found * (radius + sums(radius)[:, None])) / ((dim + 2) * sums(radius)))[:, None]
         return found
 
-    def _add_second(self, groups: list[Group], mean: np.ndarray) -> None:
+    def _add_second(self, pieces: Pieces, mean: np.ndarray) -> None:
         """Integrate (q - mean) |x - middle|^2."""
         simplices = self._simplices
-        for whole in groups:
-            points, weights = rule(simplices.dim, whole.degree + 2)
-            for block in blocks(len(whole.rows)):
-                part = whole[block]
-                inside, x, middle = part.points(points), simplices.x[part.rows], simplices.middle[part.rows]
-                distance = reduce(np.add, ((polynomials.combined(inside, x[..., k]) - middle[:, k : k + 1]) ** 2
-                                           for k in range(simplices.dim)))  # fmt: skip
-                integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
-                size = part.share * simplices.area[part.rows]
-                part.add_to(self.second, size * integrals)
+        for part in pieces.portions():
+            points, weights = rule(simplices.dim, part.degree + 2)
+            inside, x, middle = part.points(points), simplices.x[part.rows], simplices.middle[part.rows]
+            distance = reduce(np.add, ((polynomials.combined(inside, x[..., k]) - middle[:, k : k + 1]) ** 2
+                                       for k in range(simplices.dim)))  # fmt: skip
+            integrals = ((part.values(points) - mean[part.rows, None]) * distance) @ weights
+            part.add_to(self.second, part.share * simplices.area[part.rows] * integrals)
 
     def _divided(self, cells: np.ndarray, value: Field, linear: np.ndarray, depth: int) -> np.ndarray:
         """Bound of ||tau|| in some cells by division.
@@ -166,7 +163,7 @@ class Oscillation:
             depth: How often their edges are halved.
         """
         simplices, area = self._simplices, self._simplices.area[cells]
-        inside, count = _parts(depth), 4**depth
+        inside, count = polynomials.halvings(3, depth), 4**depth
         corners = (inside @ simplices.x[cells][:, None]).reshape(-1, 3, 2)
         size, nearest = np.repeat(area, count) / count, (inside @ linear[:, None, :, None]).reshape(-1, 3)
         pieces = pieces_of(simplices.data, value, corners, np.repeat(cells, count), Division(1))
@@ -190,14 +187,6 @@ class Oscillation:
         return np.sqrt(np.maximum(between, 0.0)) + within + rest
 
 
-def _parts(depth: int) -> np.ndarray:
-    """Barycentric corners of the parts of a triangle whose edges are halved, shape (4^depth, 3, 3)."""
-    inside = np.eye(3)[None]
-    for _ in range(depth):
-        inside = polynomials.halved(inside)
-    return inside
-
-
 @cache
 def _energies(depth: int) -> np.ndarray:
     """Of fluxes in RT0 on the parts from what they gather in each part, nothing leaving the triangle.
@@ -207,7 +196,7 @@ def _energies(depth: int) -> np.ndarray:
     Returns:
         Shape (3, parts, parts); times J^T J/det J (xx, 2 xy, yy) the squared norm.
     """
-    inside = _parts(depth)
+    inside = polynomials.halvings(3, depth)
     count = len(inside)
     x = inside[:, :, 1:]  # reference coordinates
     size = 0.5 / count

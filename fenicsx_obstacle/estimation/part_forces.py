@@ -238,17 +238,14 @@ def part_forces(
 def on_sides(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
     """Whether the side opposite to each vertex is one of some local facets, which the rank of one of its two cells need
     not know, shape (cells, vertices) (collective)."""
-    level, count = simplices.data.level, simplices.facets.max(initial=-1) + 1
-    marked, outer = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-    marked[facets[facets < count]] = True
-    outer[level.boundary_facets[level.boundary_facets < count]] = True
-    inside = np.flatnonzero(marked & ~outer).astype(np.int32)
+    level, known = simplices.data.level, facets
+    inside = np.setdiff1d(facets[facets <= simplices.facets.max(initial=-1)], level.boundary_facets).astype(np.int32)
     if total(level.comm, len(inside)) > 0 and level.comm.size > 1:
         index_map = level.mesh.topology.index_map(simplices.dim - 1)
-        known = np.concatenate(level.comm.allgather(np.asarray(index_map.local_to_global(inside))))
-        every = np.arange(count, dtype=np.int32)
-        marked |= np.isin(np.asarray(index_map.local_to_global(every)), known)
-    return marked[simplices.facets]
+        every = np.arange(simplices.facets.max(initial=-1) + 1, dtype=np.int32)
+        numbers = np.concatenate(level.comm.allgather(np.asarray(index_map.local_to_global(inside))))
+        known = np.append(facets, every[np.isin(np.asarray(index_map.local_to_global(every)), numbers)])
+    return simplices.on_sides(known)
 
 
 def _undivided(pieces: Pieces, points: np.ndarray, count: int) -> np.ndarray:

@@ -36,10 +36,7 @@ class Patches:
         """See where u is given, which rank has which vertex, and find the trees (collective)."""
         data, dofs = simplices.data, simplices.dofs
         self.comm, self._corners = data.level.comm, dofs.shape[1]
-        is_held = np.zeros(simplices.facets.max(initial=-1) + 1, dtype=bool)
-        for facets in data.held:
-            is_held[facets[facets < len(is_held)]] = True
-        self.held = is_held[simplices.facets]
+        self.held = simplices.last_on_sides(data.held) >= 0
         self.free = np.ones(len(data.fixed[1].x.array), dtype=bool)
         self.free[data.fixed[0]] = False
         index_map = data.level.V.dofmap.index_map

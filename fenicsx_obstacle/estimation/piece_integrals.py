@@ -7,13 +7,11 @@ symmetry, which is given at the corners of the simplices; then means are divided
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.estimation.pieces import Group, Pieces
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.pieces import Pieces
+from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.simplices import integrals, reciprocals
 
 LOWEST = -1e300  # where no lower bound is known
@@ -28,7 +26,7 @@ def mean(pieces: Pieces, factor: np.ndarray, radius: np.ndarray | None = None) -
         radius: The weight of integrals there, if there is one.
     """
     found = np.zeros(len(factor))
-    for part in _portions(pieces):
+    for part in pieces.portions():
         points, weights = rule(factor.shape[1] - 1, part.degree + 1 + (radius is not None))
         values = part.values(points) * polynomials.combined(part.points(points), factor[part.rows])
         part.add_to(found, part.share * integrals(values, part.weights(points, weights, radius)))
@@ -50,7 +48,7 @@ def distance(
         The norm of the difference for q, and a bound of that of r times the factor.
     """
     squares, rests = np.zeros(len(linear)), np.zeros(len(linear))
-    for part in _portions(pieces):
+    for part in pieces.portions():
         degree = max(part.degree + (factor is not None), 1)
         points, weights = rule(linear.shape[1] - 1, 2 * degree + (radius is not None))
         inside, values, rest = part.points(points), part.values(points), part.known_rest
@@ -102,10 +100,3 @@ def mean_above(pieces: Pieces, linear: np.ndarray, sign: float, radius: np.ndarr
         least = np.where(known, above - group.known_rest * weight, unknown[group.rows] * weight)
         group.add_to(found, group.share * least)
     return found if radius is None else found * reciprocals(radius.mean(axis=1))
-
-
-def _portions(pieces: Pieces) -> Iterator[Group]:
-    """The parts in portions that fit into memory."""
-    for group in pieces.groups:
-        for block in blocks(len(group.rows)):
-            yield group[block]

@@ -198,6 +198,11 @@ class Group:
             for k in range(values.shape[1]):
                 sums[:, k] += np.bincount(self.rows, values[:, k], len(sums))
 
+    def portions(self) -> Iterator[Group]:
+        """The parts in portions that fit into memory."""
+        for block in blocks(len(self.rows)):
+            yield self[block]
+
     def __getitem__(self, chosen: np.ndarray | slice) -> Group:
         """Some of the parts."""
         return Group(
@@ -228,6 +233,11 @@ class Pieces:
     @property
     def finite(self) -> np.ndarray:
         return np.isfinite(self.lower) & np.isfinite(self.upper)
+
+    def portions(self) -> Iterator[Group]:
+        """All parts in portions that fit into memory."""
+        for group in self.groups:
+            yield from group.portions()
 
 
 def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:

@@ -20,12 +20,6 @@ def rule(dim: int, degree: int = DEGREE) -> tuple[np.ndarray, np.ndarray]:
     return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
 
 
-def gauss(points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points in (0, 1) and weights of sum 1; exact for degree 2 points - 1."""
-    x, weights = np.polynomial.legendre.leggauss(points)
-    return (x + 1) / 2, weights / 2
-
-
 def blocks(count: int, at_once: int = AT_ONCE) -> Iterator[slice]:
     """Slices of at most so many cells."""
     for start in range(0, count, at_once):

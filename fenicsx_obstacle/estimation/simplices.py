@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
@@ -12,7 +13,7 @@ from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.halving import EDGES
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
 
 ON_AXIS = 1e-12  # relative to the largest distance from it
@@ -72,6 +73,18 @@ class Simplices:
         """Dofs of P2 on triangles, shape (cells, 6), in the order here: at the vertices, then at the middles opposite
         to them."""
         return np.hstack([self.turned(dofs[:, :3]), self.turned(dofs[:, 3:])])
+
+    def on_sides(self, facets: np.ndarray) -> np.ndarray:
+        """Whether the side opposite to each vertex is one of some local facets, shape (cells, d + 1)."""
+        return self.last_on_sides([facets]) == 0
+
+    def last_on_sides(self, sets: Sequence[np.ndarray]) -> np.ndarray:
+        """The number of the last set of local facets that the side opposite to each vertex is in, -1 if it is in none,
+        shape (cells, d + 1)."""
+        last = np.full(max(self.facets.max(initial=-1) + 1, 1), -1)
+        for number, facets in enumerate(sets):
+            last[facets[facets < len(last)]] = number
+        return last[self.facets]
 
     def edges(self, values: np.ndarray) -> np.ndarray:
         """Values at the edges of tetrahedra in the mesh's order, shape (cells, 6), by the two vertices in the order
@@ -164,17 +177,6 @@ def lattice(parts: int) -> np.ndarray:
     """Barycentric coordinates of the points that divide the edges and the inside evenly, shape (n, 3)."""
     steps = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
     return np.array(steps) / parts
-
-
-def halved_rule(times: int) -> tuple[np.ndarray, np.ndarray]:
-    """The rule in each of the 4^times parts of a triangle with its edges halved."""
-    points, weights = rule(2)
-    parts = np.eye(3)[None]
-    for _ in range(times):
-        a, b, c = parts[:, 0], parts[:, 1], parts[:, 2]
-        d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
-        parts = np.concatenate([np.stack(p, axis=1) for p in ((a, f, e), (f, b, d), (e, d, c), (d, e, f))])
-    return (points @ parts).reshape(-1, 3), np.tile(weights, len(parts)) / len(parts)
 
 
 def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:

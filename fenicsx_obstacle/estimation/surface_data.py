@@ -26,7 +26,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
+from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
@@ -39,7 +39,6 @@ HALVED = 3  # subdivisions of facets on which the bound of the slope of e' is ab
 MIN_DEPTH = 2  # of the division of the smallest ones, along the line where a condition changes and beside it
 STEEP = 0.02  # this fraction of the slope of d
 MAX_PARTS = 100_000  # of facets; no subdivision beyond
-ROUND_OFF = 1e-14  # relative to the values of u
 NO_WIDTH = 1e-14  # relative to the facet: parts between two cuts that are narrower are lines, up to round-off
 INSIDE = 1e-11  # relative shift of edge points towards the facet's centroid, where the datum is that of this facet
 ALONG = np.linspace(0.0, 1.0, polynomials.MAX_DEGREE + 1)  # polynomials that agree there agree on the edge
@@ -134,14 +133,11 @@ class SurfaceData(BoundaryValues):
     def _facets(self) -> list[_Facets]:
         """The facets of each part (local)."""
         simplices, data = self.simplices, self.simplices.data
-        owner = np.full(max(simplices.facets.max(initial=-1) + 1, 1), -1)
-        for number, facets in enumerate(data.held):
-            owner[facets[facets < len(owner)]] = number  # of two parts the later one counts
-        found = []
+        part_of, found = simplices.last_on_sides(data.held), []
         for part, one in enumerate(data.model.boundary):
             if one.value is None:
                 continue
-            cells, opposite = np.nonzero(owner[simplices.facets] == part)
+            cells, opposite = np.nonzero(part_of == part)
             members = np.array([[k for k in range(4) if k != a] for a in range(4)])[opposite]
             ends = [(members[:, i], members[:, j]) for i, j in SIDES]
             edges = np.stack([self._of_cells[cells, i, j] for i, j in ends], axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import MASS, quadratics, reference_fields
 from fenicsx_obstacle.estimation.simplices import lattice
-from fenicsx_obstacle.polynomials import coefficients, evaluate, from_chords, halved, inner_points
+from fenicsx_obstacle.polynomials import coefficients, evaluate, from_chords, halved, halvings, inner_points
 
 DENSE = 8  # parts of an edge, a power of 2
 FEW = 128  # cells per block: its arrays fit into the cache of a core
@@ -18,18 +18,9 @@ CLOSE = 4  # degree of Bernstein bounds of quadratic functions; with degree 2 th
 POINTS = lattice(DENSE)
 
 
-def _halved(times: int) -> np.ndarray:
-    """Barycentric corners of the parts of a triangle after so many halvings of its edges, parts of one parent
-    consecutive, shape (parts, 3, 3)."""
-    corners = np.eye(3)[None]
-    for _ in range(times):
-        corners = halved(corners)
-    return corners
-
-
 TIMES = DENSE.bit_length() - 1  # halvings of the edges that give the small triangles
 # corners of the small triangles, as indices in the lattice
-SMALL = np.abs(_halved(TIMES)[:, :, None] - POINTS).sum(axis=3).argmin(axis=2)
+SMALL = np.abs(halvings(3, TIMES)[:, :, None] - POINTS).sum(axis=3).argmin(axis=2)
 
 
 def _slopes() -> np.ndarray:
@@ -107,10 +98,10 @@ class Halves:
     @classmethod
     def of(cls, times: int) -> Halves:
         """Parts of edges halved so many times."""
-        corners = _halved(times)
+        corners = halvings(3, times)
         nodes = np.array([nodes_of(part) for part in corners])
         to_nodes = quadratics(nodes.reshape(-1, 3)).T.reshape(-1, 6, 6)
-        return cls(corners, _halved(TIMES - times), to_nodes)
+        return cls(corners, halvings(3, TIMES - times), to_nodes)
 
 
 @cache
