@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
@@ -106,33 +106,31 @@ def _check(path: Path) -> None:
 
 
 def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
-    kept: list[Arrays] = []  # arrays stay on rank 0
+    kept: list[Arrays] = []  # points and cells stay on rank 0
 
-    def load() -> tuple[Any, ...]:
-        found = meshing.load(path)
-        kept.append(found)
-        return (*found.points.shape[1:], *found.cells.shape[1:], found.cell, found.materials, found.parts,
-                found.facets, found.facet_part, found.cell_material, found.bent, found.bent_entity,
-                found.cell_entity, found.straight, found.remarks)  # fmt: skip
+    def load() -> Arrays:
+        kept.append(meshing.load(path))
+        return replace(kept[0], points=kept[0].points[:0], cells=kept[0].cells[:0])
 
-    (gdim, vertices, cell, materials, parts, facets, facet_part, cell_material, bent, entity, surface,
-     straight, remarks) = on_root(comm, load)  # fmt: skip
-    points, cells = np.empty((0, gdim)), np.empty((0, vertices), np.int64)
-    if comm.rank == 0:
-        points, cells = kept[0].points, kept[0].cells
-    mesh = releases.create_mesh(comm, cells, points, cell)
-    numbers = local_facets(mesh, facets)
-    named = {name: np.unique(numbers[(facet_part == k) & (numbers >= 0)]) for k, name in enumerate(parts)}
-    groups = Groups()
-    own = given_cells(mesh)
-    if materials:
-        groups = {name: np.flatnonzero(cell_material[own] == k).astype(np.int32) for k, name in enumerate(materials)}
-    numbers, dim = local_facets(mesh, bent), mesh.topology.dim
-    curved = {(dim - 1, int(k)): np.unique(numbers[(entity == k) & (numbers >= 0)]) for k in np.unique(entity)}
-    if len(surface):
-        found = np.unique(surface[surface > 0])
-        curved |= {(dim, int(k)): np.flatnonzero(surface[own] == k).astype(np.int32) for k in found}
-    return MeshFile(mesh, named, groups, curved, straight, remarks)
+    found = on_root(comm, load)
+    points, cells = (kept[0].points, kept[0].cells) if comm.rank == 0 else (found.points, found.cells)
+    mesh = releases.create_mesh(comm, cells, points, found.cell)
+    own, dim = given_cells(mesh), mesh.topology.dim
+
+    def facets_of(facets: np.ndarray, owners: np.ndarray, owner: int) -> np.ndarray:
+        return np.unique(facets[(owners == owner) & (facets >= 0)])
+
+    def cells_of(owners: np.ndarray, owner: int) -> np.ndarray:
+        return np.flatnonzero(owners[own] == owner).astype(np.int32)
+
+    in_parts, on_curves = local_facets(mesh, found.facets), local_facets(mesh, found.bent)
+    named = {name: facets_of(in_parts, found.facet_part, k) for k, name in enumerate(found.parts)}
+    groups = {name: cells_of(found.cell_material, k) for k, name in enumerate(found.materials)}
+    entities = np.unique(found.bent_entity).tolist()
+    bent = {(dim - 1, k): facets_of(on_curves, found.bent_entity, k) for k in entities}
+    surfaces = np.unique(found.cell_entity[found.cell_entity > 0]).tolist()
+    bent |= {(dim, k): cells_of(found.cell_entity, k) for k in surfaces}
+    return MeshFile(mesh, named, groups, bent, found.straight, found.remarks)
 
 
 def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:
