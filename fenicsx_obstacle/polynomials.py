@@ -104,7 +104,7 @@ def halved(corners: np.ndarray) -> np.ndarray:
     """Segments in two, triangles in four, tetrahedra in eight: the parts of one follow each other.
 
     Args:
-        corners: Shape (simplices, corners, ...).
+        corners: Coordinates of the corners, or linear functions there, shape (simplices, corners, ...).
     """
     a, b = corners[:, 0], corners[:, 1]
     parts: list[tuple[np.ndarray, ...]]

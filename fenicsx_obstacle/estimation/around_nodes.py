@@ -13,6 +13,7 @@ class AroundNodes:
     """The cells around the nodes of a space; all methods are collective.
 
     Attributes:
+        V: The space.
         nodes: Local dofs of the nodes of the owned cells, shape (cells, n).
     """
 
@@ -23,11 +24,11 @@ class AroundNodes:
             V: The space.
             nodes: See the attributes; those that count, if it has more.
         """
-        self._V, self.nodes = V, nodes
+        self.V, self.nodes = V, nodes
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums at local dofs of values at the nodes of cells, shape (cells, n)."""
-        function = fem.Function(self._V)
+        function = fem.Function(self.V)
         function.x.array[:] = np.bincount(self.nodes.ravel(), values.ravel(), len(function.x.array))
         releases.add_ghosts(function)
         function.x.scatter_forward()
@@ -43,7 +44,7 @@ class AroundNodes:
 
     def _at_most(self, values: np.ndarray, least: float) -> np.ndarray:
         """The largest value, or `least` if that is more."""
-        function = fem.Function(self._V)
+        function = fem.Function(self.V)
         function.x.array[:] = least
         some = values > least
         np.maximum.at(function.x.array, self.nodes[some], values[some])

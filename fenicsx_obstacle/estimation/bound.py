@@ -122,7 +122,7 @@ class Estimator:
         problem, comm = self.problem, self.problem.level.comm
         self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
         simplices, load = self.element.simplices, self.element.equilibration.load
-        held = self.element.equilibration.patches.held
+        held = self.element.simplices.held
         self._held_somewhere = total(comm, np.count_nonzero(held)) > 0
         self._friedrichs = self.element.friedrichs
         self._rim_energy = self.element.rim_energy()
@@ -211,7 +211,7 @@ class Estimator:
         simplices = self.element.simplices
         if simplices.radius is not None:
             on_axis = simplices.radius.sum(axis=1, keepdims=True) == simplices.radius
-            held = on_axis & self.element.equilibration.patches.held
+            held = on_axis & self.element.simplices.held
             if total(comm, np.count_nonzero(held)) > 0:
                 reasons.append("u is given on the axis, where no state of finite energy keeps to a value")
             if smallest(comm, simplices.radius) < 0:

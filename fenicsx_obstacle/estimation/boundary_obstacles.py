@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces, on_sides
 from fenicsx_obstacle.estimation.piece_integrals import highest_above, mean_above
 from fenicsx_obstacle.estimation.pieces import joined, pieces_of
@@ -31,18 +30,17 @@ class BoundaryObstacle:
         unbounded: Whether it may be infinite on a facet of each cell.
     """
 
-    def __init__(self, sign: float, parts: PartForces, around: AroundNodes, which: np.ndarray, fields: list[Field]):
+    def __init__(self, sign: float, parts: PartForces, which: np.ndarray, fields: list[Field]):
         """Enclose it (collective).
 
         Args:
             sign: See the attributes.
             parts: Has its facets.
-            around: The cells around the vertices.
             which: The number of the field on the side opposite to each vertex, -1 where there is none, shape (cells,
                 vertices).
             fields: The obstacle on parts of the boundary.
         """
-        self.sign, self._parts, self._around = sign, parts, around
+        self.sign, self._parts = sign, parts
         simplices, data = parts.simplices, parts.simplices.data
         self._dim, comm = simplices.dim, data.level.comm
         self.nodal = sign * data.heights(sign)
@@ -51,7 +49,7 @@ class BoundaryObstacle:
         self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]
         self._share = (parts.share * parts.size * parts.ratio)[self.rows] / self._dim
         shares = self._in_cells(np.repeat(self._share[:, None], self._dim, axis=1))
-        self._inverse = reciprocals(around.sums(shares))  # of the size of the facets around each node
+        self._inverse = reciprocals(simplices.around.sums(shares))  # of the size of the facets around each node
         self.unbounded, self.sampled = np.zeros(len(simplices.area), dtype=bool), False
         self.lifted, self._pieces = self.nodal, joined([], len(cells))
         if self._dim == 1:  # facets are points
@@ -66,7 +64,7 @@ class BoundaryObstacle:
         above = np.maximum(self._highest(self.nodal), 0.0)
         raised = np.zeros(simplices.dofs.shape)
         np.maximum.at(raised, (cells[:, None], parts.corners[self.rows]), above[:, None])
-        self.lifted = self.nodal + around.largest(raised)
+        self.lifted = self.nodal + simplices.around.largest(raised)
 
     def _in_cells(self, values: np.ndarray) -> np.ndarray:
         """Values at the vertices of the facets, shape (rows, d), summed at those of the cells."""

@@ -89,12 +89,11 @@ class DirichletBoundary:
         return load * self.area / (c * least_tension) if c > 0 else np.inf
 
 
-def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> DirichletBoundary:
+def dirichlet_boundary(simplices: Simplices) -> DirichletBoundary:
     """Where u is given (collective).
 
     Args:
         simplices: The owned cells.
-        held_sides: Whether u is given on the facet opposite to each vertex, shape (cells, vertices).
     """
     level, x = simplices.data.level, simplices.x
     comm = level.comm
@@ -104,7 +103,7 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
     sides = upper - lower
     radius = simplices.radius
     cells, opposite = np.nonzero(simplices.on_sides(level.boundary_facets))
-    held = held_sides[cells, opposite]
+    held = simplices.held[cells, opposite]
     ends = np.stack([x[cells, (opposite + k) % (dim + 1)] for k in range(1, dim + 1)], axis=1)
     size = np.linalg.norm(simplices.normal[:, cells, opposite], axis=0)
     if radius is not None:  # the axis is no boundary
@@ -126,5 +125,5 @@ def dirichlet_boundary(simplices: Simplices, held_sides: np.ndarray) -> Dirichle
     if radius is not None:
         radii = smallest(comm, radius), largest(comm, radius)
     known = everywhere or faces.any()
-    by_paths = np.inf if known else friedrichs_by_paths(level, held_sides)
+    by_paths = np.inf if known else friedrichs_by_paths(level, simplices.held)
     return DirichletBoundary(sides, area, bool(everywhere), faces, radii, by_paths)

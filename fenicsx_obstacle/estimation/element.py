@@ -109,7 +109,7 @@ class Element(ABC):
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         equilibration.load.forget_polynomials()
-        self.held = dirichlet_boundary(self.simplices, equilibration.patches.held)
+        self.held = dirichlet_boundary(self.simplices)
         constant = self._friedrichs()
         self.friedrichs_known = bool(np.isfinite(constant))
         least = smallest(self.simplices.data.level.comm, self.tension.least)

@@ -30,10 +30,8 @@ class ElementP1(Element):
         """Sample the data, sort the corners around the vertices (collective)."""
         simplices = Simplices(problem.data)
         super().__init__(EquilibrationP1(simplices, tension_of_state(problem, simplices)))
-        around, dim, cells = self.equilibration.around, simplices.dim, len(simplices.area)
-        self.obstacles = [
-            ObstacleExcess(simplices, around, self.dirichlet, *obstacle) for obstacle in self.given_obstacles
-        ]
+        dim, cells = simplices.dim, len(simplices.area)
+        self.obstacles = [ObstacleExcess(simplices, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
         if simplices.radius is not None:
             self._ring = AxialFlux(simplices)
             return

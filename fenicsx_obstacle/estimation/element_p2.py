@@ -38,9 +38,7 @@ class ElementP2(Element):
         equilibration = EquilibrationP2(simplices, problem.data)
         super().__init__(equilibration, problem.data.fixed[1].x.array[equilibration.nodes[:, 3:]])
         self.problem = problem
-        self.obstacles = [
-            LatticeObstacle(simplices, equilibration.patches, *obstacle) for obstacle in self.given_obstacles
-        ]
+        self.obstacles = [LatticeObstacle(simplices, *obstacle) for obstacle in self.given_obstacles]
         self._metric = metric(simplices.x[:, 1] - simplices.x[:, 0], simplices.x[:, 2] - simplices.x[:, 0],
                               simplices.area, np.ones(len(simplices.area)))  # fmt: skip
 

@@ -22,7 +22,6 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
 from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, BoundaryObstacles
 from fenicsx_obstacle.estimation.cell_data import (
@@ -82,7 +81,6 @@ class EquilibrationP1:
     Attributes:
         simplices: The owned cells.
         patches: Their corners around the vertices.
-        around: The cells around the vertices.
         multipliers: Makes those of contact forces at the vertices.
         mu: Tension of each cell, as the solver has it; of a matrix the geometric mean of its eigenvalues.
         pull: The same times the mean weight of integrals in the cell.
@@ -117,8 +115,7 @@ class EquilibrationP1:
             self.mu = np.linalg.det(self.matrix) ** (1 / simplices.dim)
             self._inverse = np.linalg.inv(self.matrix)
         self.pull = self.mu * (simplices.size / simplices.area)
-        self.around = AroundNodes(self.level.V, simplices.dofs)
-        self.multipliers = Multipliers(self.level.V, self.around, simplices.area, self.pull, data.fixed[0], SWEEPS)
+        self.multipliers = Multipliers(simplices.around, simplices.area, self.pull, simplices.given, SWEEPS)
         others = other_effects(data)
         self.unknown = unknown_effects(data)
         self._prepare_others(others if self.unknown else [])
@@ -127,21 +124,19 @@ class EquilibrationP1:
         self.points = PointForces(simplices, others)
         self.reaction = Reaction(simplices, foundation)
         bearing = BoundaryObstacles(simplices)
-        self.parts = part_forces(simplices, known, patches.held, self.points, bearing.on(simplices.facets.shape))
-        self.sides = [
-            BoundaryObstacle(sign, self.parts, self.around, which, fields) for sign, which, fields in bearing.given
-        ]
+        self.parts = part_forces(simplices, known, simplices.held, self.points, bearing.on(simplices.facets.shape))
+        self.sides = [BoundaryObstacle(sign, self.parts, which, fields) for sign, which, fields in bearing.given]
         stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
         self._stiff: np.ndarray | None = None  # whether all cells around a vertex are, at the corners
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:
-            everywhere = self.around.smallest(np.repeat(stiff[:, None].astype(float), corners, axis=1))
+            everywhere = simplices.around.smallest(np.repeat(stiff[:, None].astype(float), corners, axis=1))
             self._stiff = everywhere[simplices.dofs] > 0
         if simplices.radius is not None and simplices.dim == 2:
             self._patch_flux: PatchFlux = AxialPatchFlux(simplices, patches, self.parts, self.mu)
         else:
             self._patch_flux = PatchFlux(simplices, patches, self.parts, self.weighted)
         self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
-        self.missing = self.around.sums(self.load.missing)[: self.level.owned]
+        self.missing = simplices.around.sums(self.load.missing)[: self.level.owned]
 
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
@@ -194,7 +189,7 @@ class EquilibrationP1:
         moments = self._all_moments(u)
         forces_at_most = largest(level.comm, np.maximum(np.abs(outside), np.abs(moments)))
         drops, averaged = self._drops(outside, moments)
-        residual = np.where(nodes.given, 0.0, -self.around.sums(drops) / nodes.weights)
+        residual = np.where(nodes.given, 0.0, -simplices.around.sums(drops) / nodes.weights)
         lower, upper = pushes(residual, *touches)
         rest = residual - lower + upper
         of_solver = residual + np.where(nodes.given, 0.0, with_ghosts(level.V, self.missing) / nodes.weights)
@@ -228,8 +223,8 @@ class EquilibrationP1:
         """
         if self._stiff is None:
             return outside + inside, np.zeros(len(self.mu))
-        nodes, dofs = self.multipliers, self.simplices.dofs
-        sums = np.where(nodes.given, -self.around.sums(outside), self.around.sums(inside))
+        nodes, dofs, around = self.multipliers, self.simplices.dofs, self.simplices.around
+        sums = np.where(nodes.given, -around.sums(outside), around.sums(inside))
         spread = np.where(self._stiff, (sums / nodes.weights)[dofs] * nodes.share, inside)
         return outside + spread, (spread - inside).sum(axis=1) / self.simplices.area
 

@@ -83,10 +83,10 @@ class EquilibrationP2:
         self.missing = self.around.sums(against_nodes(self.load.missing))[: self.level.owned]
         self.patches = Patches(simplices)
         self._middles = AroundNodes(self.level.V, self.nodes[:, 3:])
-        self._multipliers = Multipliers(self.level.V, self._middles, simplices.area, self.mu, data.fixed[0], 1)
-        V = simplices.data.level.V
-        self._vertices = AroundNodes(V, simplices.dofs)
-        self._mass = self._vertices.sums(self._multipliers.share)
+        given = np.zeros(len(data.fixed[1].x.array), dtype=bool)
+        given[data.fixed[0]] = True
+        self._multipliers = Multipliers(self._middles, simplices.area, self.mu, given, 1)
+        self._mass = simplices.around.sums(self._multipliers.share)
         self._prepare_patches()
 
     def _sample_tension(self, data: Data) -> None:
@@ -142,7 +142,7 @@ class EquilibrationP2:
         )
         inside = self.load.moments + area[:, None, None] * np.einsum("cm,mjk->cjk", lower - upper, MIDDLES)
         drops = (inside - K).sum(axis=2)
-        rest = np.where(patches.free, -self._vertices.sums(drops) / self._mass, 0.0)[simplices.dofs]
+        rest = np.where(simplices.given, 0.0, -simplices.around.sums(drops) / self._mass)[simplices.dofs]
         inside = inside + rest[:, :, None] * (area[:, None, None] * MASS)
         drops = (inside - K).sum(axis=2)
         R = K - inside  # int div sigma^a psi_j

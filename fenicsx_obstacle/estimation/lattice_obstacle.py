@@ -13,11 +13,9 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
-from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import quadratics
@@ -36,7 +34,6 @@ from fenicsx_obstacle.estimation.triangle_lattice import (
     above_chords,
     bernstein,
     by_part,
-    halved_values,
     nodes_of,
     of_nodes,
 )
@@ -137,17 +134,16 @@ class LatticeObstacle:
         unbounded: Whether the obstacle times sign may be +infinity in each cell.
     """
 
-    def __init__(self, simplices: Simplices, patches: Patches, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, sign: float, field: Field, known: Range):
         """Store the obstacle and its bounds (collective).
 
         Args:
             simplices: The cells.
-            patches: The cells around the vertices.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
-        self.simplices, self._patches, self.sign, self._field = simplices, patches, sign, field
+        self.simplices, self.sign, self._field = simplices, sign, field
         self._top = known.upper if sign > 0 else -known.lower
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # of the cells enclosed so far
         self._enclosed = np.zeros(len(self._top), dtype=bool)
@@ -155,7 +151,6 @@ class LatticeObstacle:
         self.unbounded = ~np.isfinite(self._top)
         self._of_samples = total(simplices.data.level.comm, int(known.sampled)) > 0
         self.sampled, self._differs = self._of_samples, False
-        self._around = AroundNodes(simplices.data.level.V, simplices.dofs)
         self._beside = np.empty(0, dtype=int), np.empty(0, dtype=int)  # cells and small triangles at the boundary
 
     def nodal(self, data: Data) -> np.ndarray:
@@ -271,13 +266,13 @@ class LatticeObstacle:
                     self.cover_volume += np.bincount(cells[rows], measure * height, len(self.cover_volume))
                     self.cover_energy += np.bincount(cells[rows], measure * steepness, len(self.cover_energy))
             if not last:
-                cells, inside, lift = np.repeat(cells[above], 4), halved(inside[above]), halved_values(lift[above])
+                cells, inside, lift = np.repeat(cells[above], 4), halved(inside[above]), halved(lift[above])
         return len(cells) > 0
 
     def _held(self, cells: np.ndarray) -> np.ndarray:
         """Which lattice points of some cells are Dirichlet points."""
-        on_side = self._patches.held[cells] @ (POINTS.T == 0)
-        return on_side | (~self._patches.free[self.simplices.dofs[cells]] @ (POINTS.T == 1))
+        on_side = self.simplices.held[cells] @ (POINTS.T == 0)
+        return on_side | (self.simplices.given[self.simplices.dofs[cells]] @ (POINTS.T == 1))
 
     def _at_boundary(self, cells: np.ndarray) -> np.ndarray:
         """Which small triangles of some cells have a Dirichlet corner."""
@@ -285,7 +280,7 @@ class LatticeObstacle:
 
     def _at_vertices(self, heights: np.ndarray) -> np.ndarray:
         """The largest height in the cells around each local vertex (collective)."""
-        return self._around.largest(np.repeat(heights[:, None], 3, axis=1))
+        return self.simplices.around.largest(np.repeat(heights[:, None], 3, axis=1))
 
     def _seems_to_touch(self, u: np.ndarray, at_nodes: np.ndarray) -> np.ndarray:
         """Whether the interpolant of the obstacle is above u, or nearly, in each cell."""

@@ -7,7 +7,6 @@ is put into those of the cells in which u is near it: the error bound has force 
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.parallel import total
@@ -32,31 +31,27 @@ class Multipliers:
 
     def __init__(
         self,
-        V: fem.FunctionSpace,
         around: AroundNodes,
         area: np.ndarray,
         tension: np.ndarray,
-        fixed: np.ndarray,
+        given: np.ndarray,
         sweeps: int,
     ):
         """Weigh the nodes (collective).
 
         Args:
-            V: The space.
             around: The cells around the nodes.
             area: |T| of the owned cells.
             tension: In each, times the mean weight of integrals.
-            fixed: Local dofs where u is given.
+            given: Whether u is given at each local dof.
             sweeps: Along the boundary, to find a pressure where u is given and touches.
         """
         count = around.nodes.shape[1]
-        self._V, self._around, self._sweeps = V, around, sweeps
+        self.given, self._around, self._sweeps = given, around, sweeps
         self.share = np.repeat(area[:, None] / count, count, axis=1)
         weights = around.sums(self.share)
         self.weights = np.where(weights > 0, weights, 1.0)
         self._softness = around.sums(self.share / tension[:, None])
-        self.given = np.zeros(len(weights), dtype=bool)
-        self.given[fixed] = True
 
     def in_cells(self, values: np.ndarray, touches: np.ndarray, gap: np.ndarray | None) -> np.ndarray:
         """Multipliers at the nodes of cells, shape (cells, n), with the same force at each node where u is not given
@@ -80,7 +75,7 @@ class Multipliers:
     def _along_the_boundary(self, values: np.ndarray, touches: np.ndarray) -> np.ndarray:
         """At contact nodes where u is given the mean of the cells' other nodes; any value >= 0 is admissible."""
         nodes, wanted = self._around.nodes, self.given & touches
-        if total(self._V.mesh.comm, np.count_nonzero(wanted)) == 0:
+        if total(self._around.V.mesh.comm, np.count_nonzero(wanted)) == 0:
             return values
         cells = np.maximum(self._around.sums(np.ones(nodes.shape)), 1.0)
         for _ in range(self._sweeps):

@@ -13,7 +13,6 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.clipped import Clipped
@@ -47,7 +46,6 @@ class ObstacleExcess:
     def __init__(
         self,
         simplices: Simplices,
-        around: AroundNodes,
         dirichlet: BoundaryValues,
         sign: float,
         field: Field,
@@ -57,20 +55,16 @@ class ObstacleExcess:
 
         Args:
             simplices: The cells.
-            around: The cells around the vertices.
             dirichlet: Boundary values between the nodes.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
         data = simplices.data
-        self.simplices, self._around, self.dirichlet = simplices, around, dirichlet
-        self.sign, self._field = sign, field
+        self.simplices, self.dirichlet, self.sign, self._field = simplices, dirichlet, sign, field
         heights = data.heights(sign)
         self.nodal = sign * (field.clip(heights) if isinstance(field, Clipped) else heights)
         comm, cells = data.level.comm, len(simplices.area)
-        self._given = np.zeros(len(self.nodal), dtype=bool)
-        self._given[data.fixed[0]] = True
         self._size = 0.0  # of the state
         self._flat = self._field.uniform
         low, high = _least(self.nodal, simplices.dofs), -_least(-self.nodal, simplices.dofs)
@@ -97,7 +91,7 @@ class ObstacleExcess:
         Args:
             u: sign times the state at local dofs.
         """
-        raised = np.where(self._given, u, np.maximum(u, self.nodal))
+        raised = np.where(self.simplices.given, u, np.maximum(u, self.nodal))
         if self._flat and not self.dirichlet.twice:
             return raised
         # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
@@ -108,7 +102,7 @@ class ObstacleExcess:
         to_shifted, to_level = np.maximum(shifted - state, 0.0), np.maximum(level - state, 0.0)
         cheaper = to_level.sum(axis=1, keepdims=True) < to_shifted.sum(axis=1, keepdims=True)
         needed[cells] = np.where(cheaper, to_level, to_shifted)
-        return raised + np.where(self._given, 0.0, self._around.largest(needed))
+        return raised + np.where(self.simplices.given, 0.0, self.simplices.around.largest(needed))
 
     def beyond(self, v: np.ndarray) -> float:
         """By how much the obstacle may be above the final state, on any rank, but beside nodes where it is given
@@ -124,7 +118,7 @@ class ObstacleExcess:
         if self._flat and not self.dirichlet.twice:
             return at_nodes
         near = self._near(v)
-        beside = near & (self._given[dofs].any(axis=1) | (self.dirichlet.deviation > 0))
+        beside = near & (self.simplices.given[dofs].any(axis=1) | (self.dirichlet.deviation > 0))
         self._cover(v, beside)
         above = np.minimum(self._height - _least(v - self.nodal, dofs), self._top - _least(v, dofs))
         return max(at_nodes, largest(comm, above[near & ~beside]))

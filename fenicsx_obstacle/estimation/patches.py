@@ -25,20 +25,15 @@ class Patches:
     """The corners of all owned vertices, in arrays ordered by depth in the trees of the patches.
 
     Attributes:
-        held: Whether u is given on the side opposite to each vertex, shape (owned cells, vertices).
-        free: Whether u is not given at each local dof.
         free_boundary: Whether a facet with the vertex is on the boundary and u is not given on it, shape (corners, d).
         patch: The patch of each corner.
         vertex: Owned dof of each patch.
     """
 
     def __init__(self, simplices: Simplices):
-        """See where u is given, which rank has which vertex, and find the trees (collective)."""
+        """See which rank has which vertex, and find the trees (collective)."""
         data, dofs = simplices.data, simplices.dofs
         self.comm, self._corners = data.level.comm, dofs.shape[1]
-        self.held = simplices.last_on_sides(data.held) >= 0
-        self.free = np.ones(len(data.fixed[1].x.array), dtype=bool)
-        self.free[data.fixed[0]] = False
         index_map = data.level.V.dofmap.index_map
         self._number = np.asarray(index_map.local_to_global(dofs.astype(np.int32).ravel()), dtype=np.int64).reshape(
             dofs.shape
@@ -109,7 +104,7 @@ class Patches:
                 if k != j:
                     key += self._number[:, others[:, k]] < self._number
             keys.append(facet * dim + key)
-        held = [self.held[:, others[:, j]] for j in range(dim)]
+        held = [simplices.held[:, others[:, j]] for j in range(dim)]
         vertex, *found = self._to_owners(self._number, *keys, *(part.astype(np.int64) for part in held))
         key, is_held = np.stack(found[:dim], axis=1).ravel(), np.stack(found[dim:], axis=1).ravel() > 0
         beside = _pairs(*dense(key, dim * index_map.size_global))

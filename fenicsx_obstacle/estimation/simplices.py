@@ -13,6 +13,7 @@ from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.halving import EDGES
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
 
@@ -21,7 +22,7 @@ ON_AXIS = 1e-12  # relative to the largest distance from it
 
 class Simplices:
     """The owned cells of a level of P1 on intervals, triangles or tetrahedra, of as many coordinates as dimensions
-    (nothing here is collective but `values`).
+    (methods are collective only where they say so).
 
     Attributes:
         dim: Their dimension d.
@@ -33,12 +34,15 @@ class Simplices:
         radius: Distance of the vertices from the axis where that is the weight of all integrals, shape (cells, d + 1);
             None where they have none.
         size: Integral of the weight over each cell; |T| without one.
+        held: Whether u is given on the side opposite to each vertex, shape (cells, d + 1).
+        given: Whether u is given at each local dof.
+        around: The cells around the vertices.
         normal: d |T| grad phi_i = the facet opposite to vertex i as a vector that points inward; by coordinates, shape
             (d, cells, d + 1).
     """
 
     def __init__(self, data: Data):
-        """Turn all cells so that their corners have a positive determinant (collective where the spaces are new)."""
+        """Turn all cells so that their corners have a positive determinant, and see where u is given (collective)."""
         self.data, level = data, data.level
         self.dim = level.mesh.topology.dim
         count = own_cells(level.mesh)
@@ -51,6 +55,11 @@ class Simplices:
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
         self.normal, self.area = inward(self.x), np.abs(signed)
         self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
+        self.held = self.last_on_sides(data.held) >= 0
+        fixed, values = data.fixed
+        self.given = np.zeros(len(values.x.array), dtype=bool)
+        self.given[fixed] = True
+        self.around = AroundNodes(level.V, self.dofs)
         self.radius: np.ndarray | None = None
         self.size = self.area
         if data.axial:

@@ -10,7 +10,7 @@ import numpy as np
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import MASS, quadratics, reference_fields
 from fenicsx_obstacle.estimation.simplices import lattice
-from fenicsx_obstacle.polynomials import coefficients, evaluate, from_chords, halved, halvings, inner_points
+from fenicsx_obstacle.polynomials import coefficients, evaluate, from_chords, halvings, inner_points
 
 DENSE = 8  # parts of an edge, a power of 2
 FEW = 128  # cells per block: its arrays fit into the cache of a core
@@ -68,11 +68,6 @@ def nodes_of(corners: np.ndarray) -> np.ndarray:
 def bernstein(u: np.ndarray) -> np.ndarray:
     """Bernstein coefficients of functions of P2 from their values at the nodes of cells."""
     return np.hstack([u[:, :3], 2 * u[:, 3:] - (u[:, :3].sum(axis=1, keepdims=True) - u[:, :3]) / 2])
-
-
-def halved_values(linear: np.ndarray) -> np.ndarray:
-    """Linear functions at the corners of `halved` parts, shape (parts, 3), from those at the corners."""
-    return np.matmul(halved(np.eye(3)[None]), linear[:, None, :, None]).reshape(-1, 3)
 
 
 def _number(x: float, y: float) -> int:
