@@ -20,7 +20,6 @@ from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.estimation.cell_data import Tension
 from fenicsx_obstacle.estimation.part_forces import PartForces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
-from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplices import Simplices, integrals, next_, previous, reciprocals, sums
 
@@ -96,12 +95,11 @@ class AxialFlux:
 class AxialPatchFlux(PatchFlux):
     """The nearest fluxes on vertex patches of triangles, with the weight."""
 
-    def __init__(self, simplices: Simplices, patches: Patches, parts: PartForces, mu: np.ndarray):
+    def __init__(self, simplices: Simplices, parts: PartForces, mu: np.ndarray):
         """Weigh the products of fluxes (collective).
 
         Args:
             simplices: The owned cells.
-            patches: Their corners around the vertices.
             parts: The facets with forces.
             mu: Tension of each cell.
         """
@@ -125,7 +123,7 @@ class AxialPatchFlux(PatchFlux):
         # the shares that the ends of an edge have of the flux of a target
         mean = sums(radius)[:, None]
         self._factors = (2 * radius + previous(radius)) / mean, (2 * radius + next_(radius)) / mean
-        super().__init__(simplices, patches, parts, lambda vectors: vectors / mu)
+        super().__init__(simplices, parts, lambda vectors: vectors / mu)
 
     def _against(self, fluxes: list[np.ndarray], beta: np.ndarray) -> list[np.ndarray]:
         """See `PatchFlux._against`."""

@@ -156,22 +156,16 @@ class Load:
         pieces: What is known of it; None of a number.
     """
 
-    def __init__(
-        self,
-        simplices: Simplices,
-        data: Data,
-        tests: Callable[[np.ndarray], np.ndarray],
-        basis: Callable[[np.ndarray], np.ndarray],
-    ):
+    def __init__(self, simplices: Simplices, data: Data, tests: Callable[[np.ndarray], np.ndarray]):
         """Enclose it (collective).
 
         Args:
             simplices: The cells.
             data: Of the solver's elements on the same mesh.
-            tests: Test functions at barycentric points, shape (points, ...); their sum over the last axis is `basis`.
-            basis: Of the polynomials that Pi projects onto, shape (points, n).
+            tests: Test functions at barycentric points, shape (points, ...); their sums over the last axis span the
+                polynomials that Pi projects onto.
         """
-        self._simplices, self._tests, self._basis, self._dim = simplices, tests, basis, simplices.dim
+        self._simplices, self._tests, self._dim = simplices, tests, simplices.dim
         count = len(simplices.area)
         points, weights = rule(self._dim, 4)  # exact for what the solver has, times a test function
         self.oscillation, self.unknown, self.rest = (np.zeros(count) for _ in range(3))
@@ -206,6 +200,10 @@ class Load:
             self.pieces = replace(self.pieces, groups=[_near_seen(one, parts, mean) for one, parts in of_groups])
         self._integrate(self.pieces)
         self.missing = np.subtract(self.moments, solver, out=solver)
+
+    def _basis(self, points: np.ndarray) -> np.ndarray:
+        """The polynomials that Pi projects onto, at barycentric points, shape (points, n)."""
+        return _rows(self._tests(points).sum(axis=-1))
 
     def largest(self) -> np.ndarray:
         """An upper bound of |f| in each cell; infinite where none is known (collective)."""

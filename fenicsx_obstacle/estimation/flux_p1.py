@@ -35,7 +35,6 @@ from fenicsx_obstacle.estimation.cell_data import (
 from fenicsx_obstacle.estimation.multipliers import Multipliers, pushes
 from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
-from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
@@ -80,7 +79,6 @@ class EquilibrationP1:
 
     Attributes:
         simplices: The owned cells.
-        patches: Their corners around the vertices.
         multipliers: Makes those of contact forces at the vertices.
         mu: Tension of each cell, as the solver has it; of a matrix the geometric mean of its eigenvalues.
         pull: The same times the mean weight of integrals in the cell.
@@ -101,8 +99,7 @@ class EquilibrationP1:
             simplices: The owned cells.
             of_state: Tension in each cell where it depends on u.
         """
-        data, patches = simplices.data, Patches(simplices)
-        self.simplices, self.patches = simplices, patches
+        self.simplices, data = simplices, simplices.data
         self.level, corners = data.level, simplices.dim + 1
         middle = np.full((1, corners), 1 / corners)
         rows, tension = matrix_of(data), tension_of(data)
@@ -132,10 +129,10 @@ class EquilibrationP1:
             everywhere = simplices.around.smallest(np.repeat(stiff[:, None].astype(float), corners, axis=1))
             self._stiff = everywhere[simplices.dofs] > 0
         if simplices.radius is not None and simplices.dim == 2:
-            self._patch_flux: PatchFlux = AxialPatchFlux(simplices, patches, self.parts, self.mu)
+            self._patch_flux: PatchFlux = AxialPatchFlux(simplices, self.parts, self.mu)
         else:
-            self._patch_flux = PatchFlux(simplices, patches, self.parts, self.weighted)
-        self.load = Load(simplices, data, tests=lambda points: points, basis=lambda points: np.ones((len(points), 1)))
+            self._patch_flux = PatchFlux(simplices, self.parts, self.weighted)
+        self.load = Load(simplices, data, tests=lambda points: points)
         self.missing = simplices.around.sums(self.load.missing)[: self.level.owned]
 
     def _prepare_others(self, effects: list[Effect]) -> None:

@@ -76,9 +76,7 @@ class EquilibrationP2:
         self.simplices, self.level = simplices, data.level
         self.nodes = simplices.turned_nodes(releases.cell_dofs(self.level.V)[: len(simplices.area)])
         self._sample_tension(data)
-        self.load = Load(
-            simplices, data, tests=lambda points: points[:, :, None] * points[:, None], basis=lambda points: points
-        )
+        self.load = Load(simplices, data, tests=lambda points: points[:, :, None] * points[:, None])
         self.around = AroundNodes(self.level.V, self.nodes)
         self.missing = self.around.sums(against_nodes(self.load.missing))[: self.level.owned]
         self.patches = Patches(simplices)

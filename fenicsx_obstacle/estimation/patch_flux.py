@@ -34,7 +34,6 @@ class PatchFlux:
     def __init__(
         self,
         simplices: Simplices,
-        patches: Patches,
         parts: PartForces,
         weighted: Callable[[np.ndarray], np.ndarray],
     ):
@@ -42,12 +41,12 @@ class PatchFlux:
 
         Args:
             simplices: The owned cells.
-            patches: Their corners around the vertices.
             parts: The facets with forces.
             weighted: Divides vectors of shape (d, cells) by the tension.
         """
-        self._simplices, self._patches, self._parts, self._weighted = simplices, patches, parts, weighted
-        dim = simplices.dim
+        self._parts, self._weighted = parts, weighted
+        dim, patches = simplices.dim, Patches(simplices)
+        self._patches = patches
         self._others, self._streams = OTHERS[dim], STREAMS[dim]
         if not self._streams:
             return
