@@ -26,6 +26,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.around_nodes import over_ranks
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
@@ -111,7 +112,7 @@ class SurfaceData(BoundaryValues):
         self.least, self.most = min(low), max(high)
         self.sampled = total(comm, self._samples) > 0
         self._take_polynomials(parts, traces, [nodal for nodal, _ in found])
-        bounds = np.stack([self._largest(bound) for bound in bounds])
+        bounds = np.stack([self._over_ranks(bound, PETSc.InsertMode.MAX) for bound in bounds])
         self._add_rest(parts, [of_facets for _, of_facets in found], bounds)
         self.twice = total(comm, np.count_nonzero(self.deviation)) > 0
 
@@ -172,8 +173,8 @@ class SurfaceData(BoundaryValues):
             for k, row in enumerate(sums):
                 np.add.at(row, part.edges.ravel(), values[..., k].ravel())
             np.add.at(counts, part.edges.ravel(), 1.0)
-        sums = np.stack([self._added(row) for row in sums])
-        counts = self._added(counts)
+        sums = np.stack([self._over_ranks(row, PETSc.InsertMode.ADD) for row in sums])
+        counts = self._over_ranks(counts, PETSc.InsertMode.ADD)
         mean = sums / np.maximum(counts, 1.0)
         for part, values in zip(parts, traces, strict=True):
             jumps.compare(part.value, values, np.moveaxis(mean[:, part.edges], 0, 2), self._places(part))
@@ -406,26 +407,9 @@ class SurfaceData(BoundaryValues):
         """See `BoundaryValues.on_parts`; the bounds are those on whole cells."""
         return -self._below[0 if sign > 0 else 1][owner], self._steepest[owner]
 
-    def _added(self, values: np.ndarray) -> np.ndarray:
-        """Sums over the ranks of values at local edges (collective)."""
-        return self._over_ranks(values, PETSc.InsertMode.ADD)
-
-    def _largest(self, values: np.ndarray) -> np.ndarray:
-        """The largest over the ranks of values at local edges (collective)."""
-        return self._over_ranks(values, PETSc.InsertMode.MAX)
-
     def _over_ranks(self, values: np.ndarray, how: PETSc.InsertMode) -> np.ndarray:
-        edges, comm = self._index_map, self.simplices.data.level.comm
-        size = edges.size_local, edges.size_global
-        vector = PETSc.Vec().createGhost(np.asarray(edges.ghosts, dtype=PETSc.IntType), size, comm=comm)
-        with vector.localForm() as local:
-            local.array[:] = values
-        vector.ghostUpdate(addv=how, mode=PETSc.ScatterMode.REVERSE)
-        vector.ghostUpdate(addv=PETSc.InsertMode.INSERT, mode=PETSc.ScatterMode.FORWARD)
-        with vector.localForm() as local:
-            found = local.array_r.copy()
-        vector.destroy()
-        return found
+        """Values at local edges from those of all ranks (collective)."""
+        return over_ranks(self._index_map, self.simplices.data.level.comm, values, how)
 
 
 def _slopes_on_facets(group: Group, along: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
