@@ -38,7 +38,7 @@ class ElementP2(Element):
         equilibration = EquilibrationP2(simplices, problem.data)
         super().__init__(equilibration, problem.data.fixed[1].x.array[equilibration.nodes[:, 3:]])
         self.problem = problem
-        self.obstacles = [LatticeObstacle(simplices, *obstacle) for obstacle in self.given_obstacles]
+        self.obstacles = [LatticeObstacle(simplices, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
         self._metric = metric(simplices.x[:, 1] - simplices.x[:, 0], simplices.x[:, 2] - simplices.x[:, 0],
                               simplices.area, np.ones(len(simplices.area)))  # fmt: skip
 
@@ -99,7 +99,7 @@ class ElementP2(Element):
             at_nodes = side.nodal(self.problem.data)[self.equilibration.nodes] if self.sampled else None
             positive = np.maximum(mean[:, None] + kept[:, None] * (at_vertices - mean[:, None]), 0.0)
             largest_of.append(positive.max(axis=1, initial=0.0))
-            cells, gap, raised, between = side.above(nodal, added, positive, self.dirichlet, at_nodes)
+            cells, gap, raised, between = side.above(nodal, added, positive, at_nodes)
             lift, moved = np.maximum(raised, 0.0), np.zeros(count, dtype=bool)
             added[cells] += side.sign * lift
             moved[cells] = lift.any(axis=1)
@@ -111,7 +111,7 @@ class ElementP2(Element):
         # the last obstacle has moved the state away from the first
         for side, multiplier in zip(self.obstacles, largest_of, strict=True):
             later = None if self.sampled or side is self.obstacles[-1] else moved
-            crossing = max(crossing, side.beyond(nodal, added, self.dirichlet, later))
+            crossing = max(crossing, side.beyond(nodal, added, later))
             contact += multiplier * side.cover_volume
         if len(self.obstacles) == 2:
             both = np.minimum(*(side.cover_volume for side in self.obstacles))

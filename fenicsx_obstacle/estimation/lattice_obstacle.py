@@ -6,7 +6,6 @@ Vertices are no contact nodes of P2, so that u_h may be below the obstacle there
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
@@ -58,22 +57,6 @@ FINE = 0.2  # relative to the distance from the chord: smaller remainders are ac
 NEARLY = 0.1  # of the range of u - obstacle in a cell: so far below u an obstacle seems not to touch, by samples
 
 
-@dataclass(frozen=True, eq=False)
-class Between:
-    """u minus obstacle between the points of the lattice.
-
-    Attributes:
-        needed: Lower bounds of M and N (`LatticeObstacle`) in each cell, shape (2, cells).
-        touches: Whether the obstacle may be above u, shape (cells, small triangles).
-        contact: Upper bound of the sum over the small triangles of each cell of the mean of lambda_+ times
-            u - obstacle minus its chord.
-    """
-
-    needed: np.ndarray
-    touches: np.ndarray
-    contact: np.ndarray
-
-
 class _Bends:
     """What u - obstacle minus its chord is on the small triangles of cells, found cell by cell.
 
@@ -93,12 +76,17 @@ class _Bends:
         self.highest = -reduce(np.minimum, (gap[:, corner] for corner in SMALL.T))
         self.bend, self.mean, self.size = (np.zeros(self.highest.shape) for _ in range(3))
 
-    def between(self, may_touch: np.ndarray, multiplier: np.ndarray) -> Between:
-        """What follows.
+    def between(self, may_touch: np.ndarray, multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What follows for u minus obstacle between the points of the lattice.
 
         Args:
             may_touch: Whether the obstacle may be above u in a cell.
             multiplier: lambda_+ at the vertices of each cell, shape (cells, 3).
+
+        Returns:
+            Lower bounds of M and N (`LatticeObstacle`) in each cell, shape (2, cells); whether the obstacle may be
+            above u, shape (cells, small triangles); and an upper bound of the sum over the small triangles of each cell
+            of the mean of lambda_+ times u - obstacle minus its chord.
         """
         count = len(may_touch)
         needed, touches, contact = np.zeros((2, count)), np.zeros(self.bend.shape, dtype=bool), np.zeros(count)
@@ -113,7 +101,7 @@ class _Bends:
             means = multiplier[block] @ MIDDLES.T
             contact[block] = np.einsum("cs,cs->c", means, self.mean[block])
             contact[block] += np.ptp(multiplier[block], axis=1) / DENSE * self.size[block].sum(axis=1)
-        return Between(needed, touches, contact)
+        return needed, touches, contact
 
 
 class LatticeObstacle:
@@ -134,16 +122,17 @@ class LatticeObstacle:
         unbounded: Whether the obstacle times sign may be +infinity in each cell.
     """
 
-    def __init__(self, simplices: Simplices, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, dirichlet: DirichletData, sign: float, field: Field, known: Range):
         """Store the obstacle and its bounds (collective).
 
         Args:
             simplices: The cells.
+            dirichlet: What boundary values add to u.
             sign: See the attributes.
             field: The obstacle.
             known: Bounds of it in the cells.
         """
-        self.simplices, self.sign, self._field = simplices, sign, field
+        self.simplices, self._dirichlet, self.sign, self._field = simplices, dirichlet, sign, field
         self._top = known.upper if sign > 0 else -known.lower
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # of the cells enclosed so far
         self._enclosed = np.zeros(len(self._top), dtype=bool)
@@ -159,7 +148,7 @@ class LatticeObstacle:
         return self._field.clip(heights) if isinstance(self._field, Clipped) else heights
 
     def above(
-        self, u: np.ndarray, added: np.ndarray, multiplier: np.ndarray, dirichlet: DirichletData,
+        self, u: np.ndarray, added: np.ndarray, multiplier: np.ndarray,
         at_nodes: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
         """What raises a state above the obstacle where it may be below or is pressed against it (collective).
@@ -168,38 +157,32 @@ class LatticeObstacle:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
             added: The state less u on the lattices of cells: by what the other obstacle has moved it.
             multiplier: lambda_+ at the vertices of cells.
-            dirichlet: What boundary values add to u.
             at_nodes: The obstacle at the nodes of cells, if samples of it are to do: faster, and no bound.
 
         Returns:
-            Cells; state - obstacle on their lattices; the amount by which it is raised there; and `Between.contact`.
+            Cells; state - obstacle on their lattices; the amount by which it is raised there; and the bound of
+            `_Bends.between` for the contact term.
         """
         pressing = multiplier.any(axis=1)
-        touches = self._may_touch(u, added, dirichlet) if at_nodes is None else self._seems_to_touch(u, at_nodes)
+        touches = self._may_touch(u, added) if at_nodes is None else self._seems_to_touch(u, at_nodes)
         near = np.flatnonzero(touches | pressing)
-        needed, of_u, moved = np.zeros((2, len(touches))), self._gap(u, near, dirichlet), self.sign * added
+        needed, of_u, moved = np.zeros((2, len(touches))), self._gap(u, near), self.sign * added
         gap = of_u + moved[near]
-        if at_nodes is None:
-            bends = self._bends(u, near, of_u, gap, dirichlet, pressing[near])
-        else:
-            bends = self._samples(of_u, gap)
-        between = bends.between(touches[near], multiplier[near])
-        needed[:, near] = between.needed
-        place, small = np.nonzero(between.touches & self._at_boundary(near))
+        bends = self._bends(u, near, of_u, gap, pressing[near]) if at_nodes is None else self._samples(of_u, gap)
+        needed[:, near], of_small, contact = bends.between(touches[near], multiplier[near])
+        place, small = np.nonzero(of_small & self._at_boundary(near))
         self._beside = near[place], small
         M, N = (self._at_vertices(side) for side in needed)
         # where the obstacle jumps across an edge only one cell may touch; both need the same values on the edge
         around = self._at_vertices((touches | pressing).astype(float))
         others = np.flatnonzero((M + N + around)[self.simplices.dofs].any(axis=1) & ~(touches | pressing))
-        cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others, dirichlet) + moved[others]])
+        cells, gap = np.concatenate([near, others]), np.vstack([gap, self._gap(u, others) + moved[others]])
         of_M, of_N = (values[self.simplices.dofs[cells]] @ POINTS.T for values in (M, N))
         raised = np.where(self._held(cells), 0.0, np.maximum(of_M - gap, of_N))
         self._differs = not self._field.pointwise and len(near) > 0
-        return cells, gap, raised, np.append(between.contact, np.zeros(len(others)))
+        return cells, gap, raised, np.append(contact, np.zeros(len(others)))
 
-    def beyond(
-        self, u: np.ndarray, added: np.ndarray, dirichlet: DirichletData, moved: np.ndarray | None = None
-    ) -> float:
+    def beyond(self, u: np.ndarray, added: np.ndarray, moved: np.ndarray | None = None) -> float:
         """By how much the obstacle may be above the final state, on any rank, but on small triangles with a Dirichlet
         corner (collective).
 
@@ -208,27 +191,24 @@ class LatticeObstacle:
         Args:
             u: Values of P2 at the nodes of cells.
             added: The final state less u on the lattices of cells.
-            dirichlet: What boundary values add to u.
             moved: Whether the other obstacle has moved the state in each cell after this one; None: nowhere.
         """
         comm, (cells, small), most = self.simplices.data.level.comm, self._beside, 0.0
         if moved is not None:
-            near = np.flatnonzero(moved & self._may_touch(u, added, dirichlet))
-            gap = self._gap(u, near, dirichlet)
-            bends = self._bends(u, near, gap, gap + self.sign * added[near], dirichlet, np.zeros(len(near), dtype=bool))
+            near = np.flatnonzero(moved & self._may_touch(u, added))
+            gap = self._gap(u, near)
+            bends = self._bends(u, near, gap, gap + self.sign * added[near], np.zeros(len(near), dtype=bool))
             above, beside = bends.highest + bends.bend, self._at_boundary(near)
             most = largest_of(comm, above[~beside])
             place, number = np.nonzero(beside & (above > 0))
             kept = ~moved[cells]
             cells, small = np.append(cells[kept], near[place]), np.append(small[kept], number)
-        above_state = self._cover(u, cells, small, self.sign * added[cells], dirichlet)
+        above_state = self._cover(u, cells, small, self.sign * added[cells])
         jumps = not self._field.continuous and above_state
         self.sampled = self._of_samples or total(comm, int(self._differs or jumps)) > 0
         return most
 
-    def _cover(
-        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, added: np.ndarray, dirichlet: DirichletData
-    ) -> bool:
+    def _cover(self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, added: np.ndarray) -> bool:
         """Bound (obstacle - state)^+ on small triangles with a Dirichlet corner (collective where the
         obstacle needs the distance).
 
@@ -237,7 +217,6 @@ class LatticeObstacle:
             cells: The cell that each small triangle lies in.
             small: Its index in that cell.
             added: sign times the state less u on the lattice of that cell.
-            dirichlet: What boundary values add to u.
 
         Returns:
             Whether there is anything on this rank.
@@ -248,7 +227,7 @@ class LatticeObstacle:
             corners = inside @ self.simplices.x[cells]
             at_nodes = quadratics((nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
             nodes = np.matmul(at_nodes, u[cells, :, None])[..., 0]
-            cones, steep = dirichlet.on_parts(cells, inside, self.sign)
+            cones, steep = self._dirichlet.on_parts(cells, inside, self.sign)
             above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
             for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
                 rows, reference = group.rows, inner_points(3, max(group.degree, 2))
@@ -288,11 +267,11 @@ class LatticeObstacle:
         highest = above.max(axis=1, initial=-np.inf)
         return highest >= -NEARLY * (highest - above.min(axis=1, initial=np.inf))
 
-    def _may_touch(self, u: np.ndarray, added: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
+    def _may_touch(self, u: np.ndarray, added: np.ndarray) -> np.ndarray:
         """Whether the obstacle may be above a state in each cell (collective where the obstacle needs the distance to
         the boundary); the arguments are those of `above`."""
         lowest = bernstein(self.sign * u).min(axis=1, initial=np.inf)
-        allowance = dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
+        allowance = self._dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
         found = np.zeros(len(u), dtype=bool)
         for rows, group in self._known(np.flatnonzero(self._top + allowance >= lowest)):
             bounded = group.no_less(self.sign)
@@ -328,7 +307,7 @@ class LatticeObstacle:
         return degree, self.sign * (known - nodal), margin
 
     def _bends(
-        self, u: np.ndarray, cells: np.ndarray, of_u: np.ndarray, gap: np.ndarray, dirichlet: DirichletData,
+        self, u: np.ndarray, cells: np.ndarray, of_u: np.ndarray, gap: np.ndarray,
         pressing: np.ndarray,
     ) -> _Bends:  # fmt: skip
         """Bound state - obstacle between the points of the lattice; the state less u is linear there.
@@ -338,7 +317,6 @@ class LatticeObstacle:
             cells: The cells to bound it in, where u may touch or has a multiplier.
             of_u: u - obstacle on their lattices.
             gap: State - obstacle on their lattices.
-            dirichlet: What boundary values add to u.
             pressing: Whether they have a multiplier.
         """
         found, at = _Bends(gap), np.arange(len(cells))
@@ -359,7 +337,7 @@ class LatticeObstacle:
                     rows, group = places[block], whole[block]
                     degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
                     known = 2 * group.rest[:, None]  # twice: of the datum and of its chord
-                    rest = known + 2 * (dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
+                    rest = known + 2 * (self._dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
                     most, least, means = above_chords(times, degree, coefficient)
                     place = at[rows], part[rows]
                     above = most + rest
@@ -370,9 +348,7 @@ class LatticeObstacle:
                     rough[rows] = (matters & (known > limit)).any(axis=1)
             at, part = np.repeat(at[rough], 4), (4 * part[rough, None] + np.arange(4)).ravel()
         place = at, part  # after the last halving each part is a small triangle
-        found.bend[place], found.mean[place], found.size[place] = self._bends_anew(
-            u, cells[at], part, of_u[at], dirichlet
-        )
+        found.bend[place], found.mean[place], found.size[place] = self._bends_anew(u, cells[at], part, of_u[at])
         return found
 
     @staticmethod
@@ -385,7 +361,7 @@ class LatticeObstacle:
         return found
 
     def _bends_anew(
-        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray, dirichlet: DirichletData
+        self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, gap: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Enclose the obstacle on small triangles (collective where it needs the distance).
 
@@ -394,7 +370,6 @@ class LatticeObstacle:
             cells: The cell of each small triangle.
             small: Its index in that cell.
             gap: u - obstacle on the lattice of that cell.
-            dirichlet: What boundary values add to u.
 
         Returns:
             Upper bounds, for d = obstacle - u: of d minus its chord, of the mean of the chord minus d, and of the
@@ -408,7 +383,7 @@ class LatticeObstacle:
             degree, coefficient, margin = self._difference(group, nodes[group.rows])
             chord = combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
-            rest = group.known_rest + 2 * dirichlet.deviation[cells[group.rows]] + margin
+            rest = group.known_rest + 2 * self._dirichlet.deviation[cells[group.rows]] + margin
             group.raise_to(bend, largest(above, 3, degree) + rest)
             group.raise_to(size, row_size(above) + rest)
             mean += np.bincount(group.rows, group.share * (rest - above.mean(axis=1)), len(mean))
@@ -432,7 +407,7 @@ class LatticeObstacle:
                 chosen = np.flatnonzero(np.isfinite(group.rest))
                 yield group.rows[chosen], group[chosen]
 
-    def _gap(self, u: np.ndarray, cells: np.ndarray, dirichlet: DirichletData) -> np.ndarray:
+    def _gap(self, u: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """How far u with the boundary values is from the obstacle on the lattice."""
         inside = u[cells] @ quadratics(POINTS) - self.simplices.values(self._field, POINTS, cells)
-        return self.sign * (inside + dirichlet.cones(cells, POINTS))
+        return self.sign * (inside + self._dirichlet.cones(cells, POINTS))
