@@ -14,7 +14,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.options import SolverOptions
-from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
@@ -114,26 +113,17 @@ class BodyContext:
         """Free matrices and solvers; answers stay (collective)."""
         del self.body, self._report
 
-    def answer(
-        self, options: SolverOptions | None = None, *, yardstick: bool = False, near: np.ndarray | None = None,
-        uncertainty: bool = False, monitor: StepMonitor | None = None,
-    ) -> BodyAnswer:  # fmt: skip
-        """Solve (collective).
+    def answer(self, options: SolverOptions | None = None) -> BodyAnswer:
+        """Solve, from the last solution of the ObstacleProblem (collective).
 
         Args:
             options: How; by default as the context was made for.
-            yardstick: There is none for elastic bodies.
-            near: Not used: a solve starts from the last solution of its ObstacleProblem.
-            uncertainty: There is none for elastic bodies.
-            monitor: There is none.
 
         Raises:
             InputError: For a bad eps, or displacements that are not small.
             NotConverged: With PETSc's reason.
         """
         scene, body, options = self.scene, self.body, options or self.options
-        if uncertainty:
-            scene.only_scalar("uncertainty")
         start = time.perf_counter()
         if scene.time is None:
             solution, history, totals = body.solve(options), None, dict[str, Any]()
@@ -209,21 +199,3 @@ class BodyContext:
         counts = {"time": times, "newton_total": newton, "krylov_total": krylov}
         rows = self.body.level.comm.bcast(rows)
         return solution, TimeHistory(tuple(rows), tuple(frames)), counts
-
-
-def solve_body(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, **asked: Any) -> BodyAnswer:
-    """Solve a scene with an elastic body (collective).
-
-    Args:
-        scene: What to solve.
-        comm: Communicator; not used if the scene has a DOLFINx mesh.
-        **asked: Further arguments of `solve`, which are for scalar u; none may be given.
-
-    Raises:
-        InputError: If one is given, or the data are invalid.
-        NotConverged: With PETSc's reason.
-    """
-    for key, value in asked.items():
-        if value not in (None, False):
-            scene.only_scalar(key)
-    return BodyContext(scene, comm).answer()

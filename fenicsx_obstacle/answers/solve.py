@@ -72,10 +72,14 @@ def solve(
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
     scene, limits = changed(scene_of(scene), given), Budget.of(budget)
     if scene.model.vector_valued:
-        from fenicsx_obstacle.answers.bodies import solve_body  # only where a scene has an elastic body
+        from fenicsx_obstacle.answers.bodies import BodyContext  # only where a scene has an elastic body
 
-        return solve_body(scene, comm, bound=bound, tol=tol, tol_absolute=tol_absolute, budget=budget,
-                          yardstick=yardstick, restart=restart, uncertainty=uncertainty)  # fmt: skip
+        asked = {"bound": bound, "tol": tol, "tol_absolute": tol_absolute, "budget": budget, "yardstick": yardstick,
+                 "restart": restart, "uncertainty": uncertainty}  # fmt: skip
+        for key, value in asked.items():
+            if value not in (None, False):
+                scene.only_scalar(key)
+        return BodyContext(scene, comm).answer()
     if bound:
         check_equilibrium(scene)
     if scene.time is None and restart is not None:

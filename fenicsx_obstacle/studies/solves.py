@@ -67,16 +67,26 @@ class Solves:
             else:
                 self.close()  # the old mesh goes before the new one comes
                 self.work = self._context(scene)
-        solve = partial(self.work.answer, scene.options, yardstick=True, uncertainty=uncertainty)
-        try:
-            answer = solve(near=near)
-        except NotConverged:
-            if near is None:
-                raise
-            answer = solve()
+        answer = self._solved(self.work, scene, near, uncertainty=uncertainty)
         self._measure(values, answer)
         self._last = values, answer
         return answer
+
+    def _solved(
+        self, work: SolverContext | BodyContext, scene: Scene, near: np.ndarray | None, *, uncertainty: bool
+    ) -> Answer:
+        """The solution of a scene, from a near one if that converges (collective)."""
+        if not isinstance(work, SolverContext):
+            if uncertainty:
+                scene.only_scalar("uncertainty")
+            return work.answer(scene.options)
+        solve = partial(work.answer, scene.options, yardstick=True, uncertainty=uncertainty)
+        try:
+            return solve(near=near)
+        except NotConverged:
+            if near is None:
+                raise
+            return solve()
 
     def _context(self, scene: Scene) -> SolverContext | BodyContext:
         if not scene.model.vector_valued:
