@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from inspect import signature
 from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+import msgspec
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -22,7 +22,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import main_values, summary
-from fenicsx_obstacle.problems.values import Adaptive, AdaptiveMesh, Errors, Force, Profile, Quantity, Seconds
+from fenicsx_obstacle.problems.values import Adaptive, Errors, Force, Profile, Quantity, Seconds
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.text import counted, nearest, shown, title_of
 
@@ -41,9 +41,9 @@ T = TypeVar("T")
 PARTITION = 1e-9  # round-off of a partition of unity
 
 
-def _from_record(kind: Callable[..., T], values: Mapping[str, Any]) -> T:
-    """A dataclass with those of the values that it has fields for: later versions may save more."""
-    return kind(**{name: values[name] for name in signature(kind).parameters if name in values})
+def _from_record(record: Mapping[str, Any], key: str, kind: type[T]) -> T | None:
+    """A part of a record, typed; later versions may save more values. None if it is not there."""
+    return None if record.get(key) is None else msgspec.convert(record[key], kind)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,23 +150,17 @@ class Solution:
     @property
     def errors(self) -> Errors | None:
         """The errors of u and p; None if the exact solution is not known."""
-        found = self.record.get("errors")
-        return None if found is None else _from_record(Errors, found)
+        return _from_record(self.record, "errors", Errors)
 
     @property
     def adaptive(self) -> Adaptive | None:
         """The adaptive meshes and whether the tolerance was reached; None if no tolerance was given."""
-        found = self.record.get("adaptive")
-        if found is None:
-            return None
-        path = tuple(_from_record(AdaptiveMesh, mesh) for mesh in found["path"])
-        return _from_record(Adaptive, {**found, "path": path})
+        return _from_record(self.record, "adaptive", Adaptive)
 
     @property
     def goal(self) -> Quantity | None:
         """The quantity that was given a tolerance, with its error; None if there is none."""
-        found = self.record.get("goal")
-        return None if found is None else _from_record(Quantity, found)
+        return _from_record(self.record, "goal", Quantity)
 
     @property
     def seconds(self) -> Seconds:
