@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names, TimeBounds
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import TWO_VALUED, Formula, ufl_alphabet
+from fenicsx_obstacle.scenes.formulas import NUMPY, TWO_VALUED, Formula, ufl_alphabet
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 
 if TYPE_CHECKING:
@@ -75,8 +75,6 @@ class FormulaField(Field):
         return self.vocabulary.at_points(self.formula, x, self._known(x, names))
 
     def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:
-        from fenicsx_obstacle.scenes.conditions import margins  # only where a search follows them
-
         with np.errstate(all="ignore"):
             return margins(self.vocabulary, self.formula, x, self._known(x, names))
 
@@ -127,3 +125,36 @@ class FormulaField(Field):
         if not self.needs_distance:
             return names
         return {**names, "distance": names["distance"](x.T)}
+
+
+def margins(scene: Vocabulary, formula: Formula, x: np.ndarray, values: Mapping[str, Any]) -> list[np.ndarray]:
+    """For each condition in a formula and in its definitions a value that is positive only where the condition holds: a
+    continuous function, whose sign decides the condition.
+
+    `a < b` has b - a, `and` the smaller of two. `abs`, `sign`, `min` and `max` have such a value too: there they bend.
+
+    Args:
+        scene: Whose formula it is.
+        formula: From `scene.formula()`.
+        x: Points, shape (3, n).
+        values: Further names, as for `Vocabulary.at_points`.
+
+    Returns:
+        Arrays of n values, as many at all points.
+    """
+    found: list[np.ndarray] = []
+
+    def record(margin: Any, value: Any) -> Any:
+        found.append(np.broadcast_to(margin, x.shape[1:]))
+        return value
+
+    more: dict[str, Callable[..., Any]] = {
+        "<": lambda a, b: b - a, "<=": lambda a, b: b - a, ">": lambda a, b: a - b, ">=": lambda a, b: a - b,
+        "==": lambda a, b: -np.abs(a - b), "!=": lambda a, b: np.abs(a - b),
+        "and": np.minimum, "or": np.maximum, "not": np.negative,
+        "where": lambda test, yes, no: record(test, np.where(test > 0, yes, no)),
+        "abs": lambda a: record(a, np.abs(a)), "sign": lambda a: record(a, np.sign(a)),
+        "min": lambda a, b: record(b - a, np.minimum(a, b)), "max": lambda a, b: record(b - a, np.maximum(a, b)),
+    }  # fmt: skip
+    scene.at_points(formula, x, values, {**NUMPY, **more})
+    return found
