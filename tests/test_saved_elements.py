@@ -181,10 +181,9 @@ def test_nothing_is_stored_twice_for_p1(folder):
         assert on_root(COMM, look) == names
 
 
-def test_folders_of_version_01_are_read_as_they_are(folder):
-    """Without the group `element` there are nodal values on cut cells: P1, as that version read them."""
-    saved = solve(scene_of("P2"))
-    saved.save(folder)
+def test_folders_of_version_01_are_refused(folder):
+    """Without the group `element` there are nodal values on cut cells, which are none of the element's."""
+    solve(scene_of("P2")).save(folder)
 
     def strip():
         as_version_02(folder)
@@ -192,15 +191,8 @@ def test_folders_of_version_01_are_read_as_they_are(folder):
             del file["element"]
 
     on_root(COMM, strip)
-    read = Answer.read(folder)
-    assert read.level.pair.name == "P1" and read.level.dofs == saved.level.dofs
-    assert_same(read, saved.plain if read.level.pair is saved.plain.level.pair else _as_p1(saved.plain))
-
-
-def _as_p1(plain):
-    from dataclasses import replace
-
-    return replace(plain, level=replace(plain.level, pair=_register["P1"]))
+    with pytest.raises(InputError, match=r"saved by version 0\.1"):
+        Answer.read(folder)
 
 
 def test_damage_is_told(folder):

@@ -20,7 +20,7 @@ from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import P1, pairs
+from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.io.cut import OnNodes, global_dofs, on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, xdmf
@@ -190,11 +190,14 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     stored = mapped(folder / "fields.h5", found, comm)
     arrays, element = _group(stored, ""), _group(stored, "element/")
     parts = _group(stored, "element/parts/" if element else "parts/")
-    # version 0.1 kept the nodal values on cut cells alone: what it saved of other elements is P1
-    name = record.get("element", "P1")
+    name = record["element"]
     if name not in pairs():
         raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
-    pair = pairs()[name] if element or pairs()[name].nested_hierarchy else P1
+    pair = pairs()[name]
+    if not element and not pair.nested_hierarchy:
+        raise InputError(
+            f"{folder}: saved by version 0.1, without its element; version 0.2 reads it"
+        )
     further = dict[str, Any]()
     if arrays["u"].ndim == 2:
         from fenicsx_obstacle.discrete.contact_nodes import vector_pair  # no scalar problem needs it

@@ -35,12 +35,12 @@ class _Record(msgspec.Struct):
     eps: float | None
     h: float
     dofs: int
+    element: str
     newton_iterations: int
     penetration: float
     energy: float | None
     seconds: Seconds
     contact: dict[str, Any]
-    element: str = "P1"
     report: dict[str, float | None] = {}
     errors: Errors | None = None
     adaptive: Adaptive | None = None
