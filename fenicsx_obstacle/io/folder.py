@@ -195,9 +195,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         raise InputError(f"{folder}: element '{name}' is not known here: register it first, or load its plug-in")
     pair = pairs()[name]
     if not element and not pair.nested_hierarchy:
-        raise InputError(
-            f"{folder}: saved by version 0.1, without its element; version 0.2 reads it"
-        )
+        raise InputError(f"{folder}: saved by version 0.1, without its element; version 0.2 reads it")
     further = dict[str, Any]()
     if arrays["u"].ndim == 2:
         from fenicsx_obstacle.discrete.contact_nodes import vector_pair  # no scalar problem needs it

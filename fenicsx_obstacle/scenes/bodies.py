@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import ufl
@@ -29,12 +29,9 @@ from fenicsx_obstacle.effects.domain.elasticity import Elasticity
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import first_given, largest, total
+from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.scenes.rigid_surfaces import NodalGap
 
 MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
 MAX_SHARE = 0.2  # of the longest side of the body: displacements are small
@@ -114,8 +111,7 @@ class Body:
                 f"{model.source}: several obstacles with a force: one can be moved until its force is reached"
             )
         self._values = list[tuple[fem.Function, Field, int]]()
-        self._surfaces: dict[Facing, NodalGap] = {}
-        self._distance = [None if one.obstacle.at_nodes else self._compiled(one) for one in self.facing]
+        self._gaps = [self._gap_of(one) for one in self.facing]
         self._go_places()
         bcs = self._conditions()
         self._check_effect()
@@ -213,31 +209,47 @@ class Body:
         Raises:
             InputError: If a gap is not a number.
         """
-        for one, distance in zip(self.facing, self._distance, strict=True):
-            if distance is None:
-                values = self._at_nodes(one)
-            else:
-                here = fem.Function(self.level.V)
-                here.interpolate(distance)
-                values = here.x.array[one.dofs]
-            self.gap.x.array[one.dofs] = -values  # -u . n >= -gap
+        for one, gap in zip(self.facing, self._gaps, strict=True):
+            self.gap.x.array[one.dofs] = -gap()  # -u . n >= -gap
         self.gap.x.scatter_forward()
         self.data.refuse_infinite(self.gap, words=f"{self.model.source}: the gap to an obstacle", none=-np.inf)
 
-    def _at_nodes(self, one: Facing) -> np.ndarray:
-        """A gap that is given, or that to a box, a table or an STL surface, at the nodes that face it (collective)."""
-        gdim, obstacle, travel = self.level.mesh.geometry.dim, one.obstacle, float(one.travel.value)
-        normals = self._normals.x.array.reshape(-1, gdim)[self.vectors.node_of[one.dofs]]
-        if obstacle.kind == "gap":
-            assert obstacle.value is not None
-            given: np.ndarray = self.data.on_part(obstacle.value, obstacle.part).x.array[one.dofs]
-            return given + travel * normals @ np.array(obstacle.moves or (0.0,) * gdim)
-        if one not in self._surfaces:
-            from fenicsx_obstacle.scenes.rigid_surfaces import NodalGap  # only where a scene names one
+    def _gap_of(self, one: Facing) -> Callable[[], np.ndarray]:
+        """A function that returns the gap to an obstacle where it is now, at the nodes that face it; both are
+        collective.
 
-            points, near = self.level.points.T[one.dofs, :gdim], SAME * self.data.extent
-            self._surfaces[one] = NodalGap(obstacle, self.level.comm, points, normals, near)
-        return self._surfaces[one].at(travel)
+        Gaps to a sphere, a cylinder or a half-space are those of the true surface of the body, at the nodes of V_h.
+        """
+        gdim, obstacle, dofs = self.level.mesh.geometry.dim, one.obstacle, one.dofs
+        normals = self._normals.x.array.reshape(-1, gdim)[self.vectors.node_of[dofs]]
+        moves = obstacle.moves or (0.0,) * gdim
+        if obstacle.kind == "gap":
+            value = obstacle.value
+            assert value is not None
+            return lambda: self.data.on_part(value, obstacle.part).x.array[dofs] + one.travel.value * normals @ moves
+        if obstacle.at_nodes:
+            from fenicsx_obstacle.scenes.rigid_surfaces import nodal_gap  # only where a scene names one
+
+            points, near = self.level.points.T[dofs, :gdim], SAME * self.data.extent
+            at_nodes = nodal_gap(obstacle, self.level.comm, points, normals, near)
+
+            def met() -> np.ndarray:
+                found = at_nodes(float(one.travel.value) * np.array(moves))
+                if smallest(self.level.comm, found) == np.inf:
+                    raise InputError(f"{obstacle.source}: no line along n from a node of its part meets it")
+                return found
+
+            return met
+        n = [self._normals[k] for k in range(gdim)]
+        gap = obstacle.gap(self._places, n, [part * one.travel for part in moves])
+        compiled = releases.expression(gap, self.level.V)
+
+        def interpolated() -> np.ndarray:
+            here = fem.Function(self.level.V)
+            here.interpolate(compiled)
+            return np.asarray(here.x.array[dofs])
+
+        return interpolated
 
     def solve(self, options: SolverOptions) -> VectorSolution:
         """Solve; an obstacle with a force is moved until it presses with it (collective).
@@ -431,13 +443,6 @@ class Body:
         found = [one for one in self.level.comm.allgather(points[0].tolist() if len(points) else None) if one]
         if found:
             raise InputError(f"{words} at {self.data.place(np.array(min(found)))}")
-
-    def _compiled(self, one: Facing) -> fem.Expression:
-        """The gap of an obstacle with a shape, at the nodes of V_h: from the true surface of the body."""
-        x, n = self._places, self._normals
-        moves = one.obstacle.moves or (0.0,) * len(n)
-        gap = one.obstacle.gap(x, [n[k] for k in range(len(n))], [part * one.travel for part in moves])
-        return releases.expression(gap, self.level.V)
 
     def _over(self, facets: np.ndarray) -> ufl.Measure:
         mesh = self.level.mesh

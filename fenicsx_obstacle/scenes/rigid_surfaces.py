@@ -6,7 +6,7 @@ infinite where the line meets no surface.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from mpi4py import MPI
@@ -16,7 +16,7 @@ from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.measured.triangulated import Triangulated
-from fenicsx_obstacle.parallel import agree, largest, smallest
+from fenicsx_obstacle.parallel import agree, largest
 
 ALONG = 1e-12  # a component of a unit vector that is 0
 ONE = 1e-6  # difference of unit vectors that are one direction
@@ -25,69 +25,52 @@ MOST_STEPS = 200  # of the search for the point of a table along n
 SETTLED = 1e-12  # relative difference of the last two of them
 
 
-class NodalGap:
-    """The gap to a box, a table or an STL surface at the nodes that face it.
+def nodal_gap(
+    obstacle: Obstacle, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray, near: float
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The gap to a box, a table or an STL surface at the nodes that face it, as a function of how far the obstacle has
+    moved, shape (gdim,); both are collective.
 
-    Attributes:
+    Args:
         obstacle: With this shape.
+        comm: Ranks of the mesh.
+        points: Coordinates of local nodes, shape (n, gdim).
+        normals: Directions in which the gap is measured there, shape (n, gdim).
+        near: A length below which points are one.
+
+    Raises:
+        InputError: If the data do not fit the body. The function raises it if all lines miss the obstacle, or a table
+            is too steep.
     """
+    heights = obstacle.value
+    if obstacle.kind == "box":
+        centre = np.array(obstacle.point)
+        return lambda shift: box_gap(points, normals, centre + shift, obstacle.sizes, near)
+    assert isinstance(heights, MeasuredField)
+    if obstacle.kind == "stl":
+        return _along_one_direction(heights, comm, points, normals)
+    if points.shape[1] == 2 and not heights.along_x:
+        raise InputError(f"{heights.source}: in the plane a table has the columns x, z alone")
 
-    def __init__(self, obstacle: Obstacle, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray, near: float):
-        """Prepare (collective).
+    def of_table(shift: np.ndarray) -> np.ndarray:
+        with agree(comm):
+            return table_gap(heights, points, normals, shift)
 
-        Args:
-            obstacle: With this shape.
-            comm: Ranks of the mesh.
-            points: Coordinates of local nodes, shape (n, gdim).
-            normals: Directions in which the gap is measured there, shape (n, gdim).
-            near: A length below which points are one.
+    return of_table
 
-        Raises:
-            InputError: If the data do not fit the body.
-        """
-        self.obstacle, self._comm, self._near = obstacle, comm, near
-        self._points, self._normals = points, normals
-        self._facets: FacetsAlong | None = None
-        if obstacle.kind == "table":
-            assert isinstance(obstacle.value, MeasuredField)
-            if points.shape[1] == 2 and not obstacle.value.along_x:
-                raise InputError(f"{obstacle.value.source}: in the plane a table has the columns x, z alone")
-        if obstacle.kind == "stl":
-            self._facets = self._facing()
 
-    def at(self, travel: float) -> np.ndarray:
-        """Gaps at the local nodes, infinite where a line misses the obstacle (collective).
-
-        Args:
-            travel: How far the obstacle has moved.
-
-        Raises:
-            InputError: If all lines miss it, or a table is too steep.
-        """
-        obstacle, points = self.obstacle, self._points
-        shift = travel * np.array(obstacle.moves or (0.0,) * points.shape[1])
-        if self._facets is not None:
-            found = self._facets.gap(points - shift)
-        elif obstacle.kind == "table":
-            assert isinstance(obstacle.value, MeasuredField)
-            with agree(self._comm):
-                found = table_gap(obstacle.value, points, self._normals, shift)
-        else:
-            found = box_gap(points, self._normals, np.array(obstacle.point) + shift, obstacle.sizes, self._near)
-        if smallest(self._comm, found) == np.inf:
-            raise InputError(f"{obstacle.source}: no line along n from a node of its part meets it")
-        return found
-
-    def _facing(self) -> FacetsAlong:
-        """The facets along the one direction of all nodes."""
-        assert isinstance(self.obstacle.value, MeasuredField)
-        facets = self.obstacle.value.facets
-        assert facets is not None
-        source = self.obstacle.value.source
-        direction = next(one[0] for one in self._comm.allgather(self._normals[:1]) if len(one))
-        if largest(self._comm, np.abs(self._normals - direction)) > ONE:
-            raise InputError(f"{source}: the boundary of the body is curved; give 'along', the direction of the gap")
-        return FacetsAlong(facets, direction, source)
+def _along_one_direction(
+    surface: MeasuredField, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The gap to an STL surface, along the one direction of all nodes."""
+    direction = next(one[0] for one in comm.allgather(normals[:1]) if len(one))
+    if largest(comm, np.abs(normals - direction)) > ONE:
+        raise InputError(
+            f"{surface.source}: the boundary of the body is curved; give 'along', the direction of the gap"
+        )
+    assert surface.facets is not None
+    facing = FacetsAlong(surface.facets, direction, surface.source)
+    return lambda shift: facing.gap(points - shift)
 
 
 def box_gap(

@@ -54,16 +54,10 @@ class Scene(Definitions):
     Make it by `Scene(mesh=..., tension=1, lower="0.3 - x^2")` or `Scene.read("ball.toml")`, and solve it by `solve`.
 
     Attributes:
-        name: Short name, for files.
-        tables: The tables of the scene, as in TOML.
-        model: The problem data without formulas.
         effects: One object per effect that the scene names.
-        pair: V_h, the rule I and Q_h.
         report: Output quantities, in order.
+        model: The problem data without formulas.
         options: The table [solve], without the element.
-        own_mesh: A DOLFINx mesh of the caller's own, or None.
-        objects: Data that are not numbers or formulas, by their names in the tables.
-        folder: Where relative file names start.
     """
 
     effects: tuple[Effect, ...]
