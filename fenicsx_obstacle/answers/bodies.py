@@ -16,9 +16,8 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import check_profiles
-from fenicsx_obstacle.answers.time_history import Frame, TimeHistory
+from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, at_time
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
-from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import NODES, fields_of
 from fenicsx_obstacle.problems.solution import Files
 from fenicsx_obstacle.problems.vector_valued import VectorSolution
@@ -165,18 +164,14 @@ class BodyContext:
             InputError: If data are wrong at some time, with it.
             NotConverged: The same.
         """
-        rows, frames, name = list[dict[str, Any]](), list[Frame](), one_line(moments.name)
+        rows, frames = list[dict[str, Any]](), list[Frame]()
         kept = {round(k * moments.steps / max(moments.frames, 1)) for k in range(moments.frames + 1)}
         most, largest, loaded = 0.0, 0.0, None
         for step in range(moments.steps + 1):
             t = moments.end * step / moments.steps
-            try:
+            with at_time(moments, t):
                 self.body.go_to(t)
                 solution = self.body.solve(options)
-            except InputError as error:
-                raise InputError(f"{error}, at {name} = {t:g}") from None
-            except NotConverged as error:
-                raise error.changed(reason=f"{error.reason}, at {name} = {t:g}") from None
             known, record = contact_quantities(self.body, solution), solution.record
             reported = self._report.of(solution, known) if self.scene.report else {}
             rows.append({  # no -0.0

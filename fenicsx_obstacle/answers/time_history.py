@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
+from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, Array, to_hdf5, xdmf
-from fenicsx_obstacle.text import nearest
+from fenicsx_obstacle.text import nearest, one_line
 
 Row = Mapping[str, Any]
 
@@ -111,6 +113,18 @@ class TimeHistory:
         except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
             raise InputError(f"{folder}: the saved answer is damaged: its time history: {error}") from None
         return cls(rows, tuple(frames))
+
+
+@contextmanager
+def at_time(moments: TimeDiscretization, t: float) -> Iterator[None]:
+    """Add a time to the message of an error in the block."""
+    when = f"at {one_line(moments.name)} = {t:g}"
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{error}, {when}") from None
+    except NotConverged as error:
+        raise error.changed(reason=f"{error.reason}, {when}") from None
 
 
 def to_arrays(frames: Sequence[Frame]) -> dict[str, np.ndarray]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.answers import checkpoint
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.steps import Steps
-from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory
+from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory, at_time
 from fenicsx_obstacle.discrete.admissible import giver, worst
 from fenicsx_obstacle.discrete.data_within_steps import DataWithinSteps
 from fenicsx_obstacle.discrete.problem import Problem
@@ -119,17 +118,6 @@ class TimeStepper:
         """The present state, solved (collective)."""
         return state_of(self.problem, self._method)
 
-    @contextmanager
-    def _at(self, t: float) -> Iterator[None]:
-        """Add the present time to the message of an error in the block."""
-        when = f"at {one_line(self.moments.name)} = {t:g}"
-        try:
-            yield
-        except InputError as error:
-            raise InputError(f"{error}, {when}") from None
-        except NotConverged as error:
-            raise error.changed(reason=f"{error.reason}, {when}") from None
-
     def _advance(self, keep: Path | None) -> Outcome | None:
         """All steps; None where one of them has lowered eps (collective)."""
         dt, written = self._first_step(), self._now()
@@ -139,7 +127,7 @@ class TimeStepper:
                 dt, self._shortened = (t - before) / 2, self._shortened + 1
                 continue
             try:
-                with self._at(t):
+                with at_time(self.moments, t):
                     outcomes = self._step(t)
             except NotConverged:
                 if self.moments.tolerance is None or dt < NO_STEP * self.moments.end:
@@ -247,7 +235,7 @@ class TimeStepper:
         if moments.order == EQUILIBRIA:
             self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
             problem.set_reference(self.steps.u_values[0])
-            with self._at(0.0):
+            with at_time(self.moments, 0.0):
                 outcomes = self._solve()
             self.steps.u_values = [self._heights()]
             self._count(outcomes)
