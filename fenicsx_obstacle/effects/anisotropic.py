@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import ufl
+from ufl import grad, inner
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-    import ufl
-
-    from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)
@@ -64,11 +63,7 @@ class Anisotropic(Effect):
         return [[data.cellwise(entry) for entry in row] for row in self.value]
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return inner(self.tension_at(u, data) * grad(u), grad(v)) * data.dx
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return 0.5 * inner(data.matrix(self.value) * grad(u), grad(u)) * data.dx

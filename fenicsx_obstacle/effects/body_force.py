@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import inner
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-
-if TYPE_CHECKING:
-    import ufl
-
-    from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)
@@ -44,8 +43,6 @@ class BodyForce(OfComponents):
         return cls(components_of(raw, place, reader))
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import inner
-
         return -inner(data.field(self.value), v) * data.dx
 
 

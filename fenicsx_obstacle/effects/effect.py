@@ -12,14 +12,13 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
+
+import numpy as np
+import ufl
 
 from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError
-
-if TYPE_CHECKING:  # the forms are built late; reading a scene imports no finite elements
-    import numpy as np
-    import ufl
 
 _FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by the tables that name their effects
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import FacetNormal, dot
 
 from fenicsx_obstacle.effects.body_force import OfComponents, components_of
 from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Reader, Sampler
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
-
-if TYPE_CHECKING:
-    import ufl
 
 UNIT = "force/length^3"
 
@@ -31,8 +31,6 @@ class NormalSpring(OnPart):
     vector_valued = True
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import FacetNormal, dot
-
         k, n = data.on_part(self.value, self.part, least=0.0), FacetNormal(v.ufl_domain())
         return k * dot(u, n) * dot(v, n) * data.over(self.part, self.key)
 

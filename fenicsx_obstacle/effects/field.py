@@ -9,18 +9,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from dolfinx import fem
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import agree
 
-if TYPE_CHECKING:  # reading a scene imports no finite elements
-    from dolfinx import fem
-
-Names = Mapping[
-    str, Any
-]  # what a datum may depend on in addition to x: t, eps, `distance` as a function of points (n, 3)
+# what a datum may depend on in addition to x: t, eps, `distance` as a function of points (n, 3)
+Names = Mapping[str, Any]
 NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 
 
@@ -178,8 +176,6 @@ class Field:
             x: Points of its dofs, shape (3, dofs); of what jumps between cells a little within them.
             names: As for `at`.
         """
-        from fenicsx_obstacle.parallel import agree  # reading a scene needs no MPI
-
         with agree(V.mesh.comm):
             values = self.at(x, names)
         return values

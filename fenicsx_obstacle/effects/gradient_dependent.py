@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import ufl
+from ufl import grad, inner
 
 from fenicsx_obstacle.effects.effect import Effect, Sampler
-
-if TYPE_CHECKING:
-    import numpy as np
-    import ufl
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,10 @@ class GradientDependent(Effect):
         return 0.0, 0.0
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return self.tension_at(u, data) * inner(grad(u), grad(v)) * data.dx
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value, positive=True)
 
     def squared_norm(self, e: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return data.cellwise(self.value, positive=True) * inner(grad(e), grad(e)) * data.dx

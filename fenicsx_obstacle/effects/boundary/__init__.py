@@ -7,12 +7,10 @@ tension du/dn, so that a flux there is a load along the curve. They are written 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fenicsx_obstacle.effects.effect import Effect, Reader
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.effects.field import Field
 
 
 @dataclass(frozen=True)

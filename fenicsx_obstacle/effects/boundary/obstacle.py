@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Reader, keys_of, register
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.elasticity import ball_gap, plane_gap
 from fenicsx_obstacle.text import counted
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.effects.field import Field
 
 KINDS = {"sphere": "centre", "cylinder": "centre", "box": "centre", "plane": "at", "table": None, "stl": None,
          "gap": None}  # what places each of them  # fmt: skip
@@ -167,8 +166,6 @@ class Obstacle(OnPart):
             n: Direction of the gap.
             shift: How far the obstacle has moved, along each axis.
         """
-        from fenicsx_obstacle.forms.elasticity import ball_gap, plane_gap  # reading a scene imports no finite elements
-
         place = [p + s for p, s in zip(self.point, shift, strict=True)]
         if self.kind == "plane":
             return plane_gap(x, n, place, self.direction)

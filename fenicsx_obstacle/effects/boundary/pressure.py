@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import FacetNormal, inner
 
 from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Sampler, register
-
-if TYPE_CHECKING:
-    import ufl
 
 
 @register
@@ -26,7 +26,5 @@ class Pressure(OnPart):
     vector_valued = True
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import FacetNormal, inner
-
         pressure = data.on_part(self.value, self.part)
         return pressure * inner(FacetNormal(v.ufl_domain()), v) * data.over(self.part, self.key)

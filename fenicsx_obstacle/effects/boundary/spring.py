@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
 
 from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Reader, Sampler, register
-
-if TYPE_CHECKING:
-    import ufl
 
 
 @register

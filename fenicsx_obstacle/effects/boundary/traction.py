@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import as_vector, inner
 
 from fenicsx_obstacle.effects.body_force import OfComponents, components_of
 from fenicsx_obstacle.effects.effect import Reader, Sampler, register
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
-
-if TYPE_CHECKING:
-    import ufl
 
 
 @register
@@ -40,8 +40,6 @@ class Traction(OfComponents):
         return cls(components_of(raw, place, reader), more["part"], f"{reader.source}: {place}")
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import as_vector, inner
-
         if len(self.value) != len(u):
             wanted = f"u has {counted(len(u), 'component')}"
             raise InputError(f"{self.source}: has {counted(len(self.value), 'component')}, but {wanted}")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import conditional, grad, gt, inner, max_value, sqrt
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-
-if TYPE_CHECKING:
-    import ufl
-
-    from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -65,16 +64,12 @@ class Drift(Effect):
         return "[" + ", ".join(part.text for part in self.value) + "]"
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return inner(data.field(self.value), grad(u)) * v * data.dx
 
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 
     def upwinding(self, v: Any, elastic: Effect, data: Sampler) -> Any:
-        from ufl import conditional, grad, gt, inner, max_value, sqrt
-
         b, tension = data.field(self.value), elastic.tension_at(None, data)
         squared = inner(b, b)
         along = inner(tension * b, b) / squared if tension.ufl_shape else tension

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.elasticity import Elasticity as Hooke
 from fenicsx_obstacle.text import nearest
-
-if TYPE_CHECKING:
-    import ufl
-
-    from fenicsx_obstacle.effects.field import Field
-    from fenicsx_obstacle.forms.elasticity import Elasticity as Hooke
 
 PLANES = ("strain", "stress")
 
@@ -67,8 +65,6 @@ class Elasticity(Effect):
 
     def law(self, u: Any, data: Sampler) -> Hooke:
         """Hooke's law for a displacement (collective)."""
-        from fenicsx_obstacle.forms.elasticity import Elasticity as Hooke  # reading a scene imports no finite elements
-
         return Hooke(u, young=data.cellwise(self.value, positive=True), poisson=data.cellwise(self.poisson),
                      plane="axial" if data.axial else self.plane, name=self.place)  # fmt: skip
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import grad, inner, sqrt
 
 from fenicsx_obstacle.effects.effect import Sampler, register
 from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
-
-if TYPE_CHECKING:
-    import ufl
 
 
 @register
@@ -29,11 +29,7 @@ class LargeSlope(GradientDependent):
         return data.cellwise(self.value, positive=True)
 
     def tension_at(self, u: Any, data: Sampler) -> Any:
-        from ufl import grad, inner, sqrt
-
         return data.cellwise(self.value, positive=True) / sqrt(1 + inner(grad(u), grad(u)))
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner, sqrt
-
         return data.cellwise(self.value, positive=True) * sqrt(1 + inner(grad(u), grad(u))) * data.dx

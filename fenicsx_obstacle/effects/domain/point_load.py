@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
 from fenicsx_obstacle.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 @register

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
+from ufl import grad, inner
 
 from fenicsx_obstacle.effects.effect import Reader, Sampler, keys_of, register
 from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
 from fenicsx_obstacle.errors import InputError
-
-if TYPE_CHECKING:
-    import ufl
 
 _LIMITS = (
     ", which are excluded: up to 1 the energy is not strictly convex, and from 4 on Newton's matrix is nearly singular "
@@ -59,13 +59,9 @@ class PowerLaw(GradientDependent):
         )
 
     def tension_at(self, u: Any, data: Sampler) -> Any:
-        from ufl import grad, inner
-
         squared = inner(grad(u), grad(u)) + data.number(self.regularisation) ** 2
         return data.cellwise(self.value, positive=True) * squared ** ((self.exponent - 2) / 2)
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         squared = inner(grad(u), grad(u)) + data.number(self.regularisation) ** 2
         return data.cellwise(self.value, positive=True) * squared ** (self.exponent / 2) / self.exponent * data.dx

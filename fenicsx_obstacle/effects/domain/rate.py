@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
 
 from fenicsx_obstacle.effects.effect import Effect, Sampler, register
-
-if TYPE_CHECKING:
-    import ufl
 
 
 @register

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import ufl
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
-
-if TYPE_CHECKING:
-    import ufl
-
-    from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.forms.penalty import positive_part
 
 
 @register
@@ -69,8 +68,6 @@ class SoftObstacle(Effect):
 
     def _excess(self, u: Any, data: Sampler) -> tuple[Any, Any]:
         """(u - upper)^+ and (lower - u)^+."""
-        from fenicsx_obstacle.forms.penalty import positive_part
-
         above = 0.0 if self.upper is None else positive_part(u - data.height(self.upper))
         below = 0.0 if self.lower is None else positive_part(data.height(self.lower) - u)
         return above, below

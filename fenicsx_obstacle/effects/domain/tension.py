@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import ufl
+from ufl import grad, inner
 
 from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
-
-if TYPE_CHECKING:
-    import numpy as np
-    import ufl
 
 
 @register
@@ -45,11 +45,7 @@ class Tension(Effect):
         return data.values(self.value, positive=True)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return self.tension_at(u, data) * inner(grad(u), grad(v)) * data.dx
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        from ufl import grad, inner
-
         return 0.5 * data.cellwise(self.value, positive=True) * inner(grad(u), grad(u)) * data.dx
