@@ -24,6 +24,33 @@ REMAINDER = {2: {1: 0.203, 2: 0.0825, 4: 0.179}, 3: {1: 0.361, 2: 0.149, 4: 0.29
 STEEPNESS = {2: {2: 1.79, 4: 4.77}, 3: {2: 3.82, 4: 10.9}, 4: {2: 6.27, 4: 21.0}}
 _EPSILON = float(np.finfo(float).eps)
 
+# a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
+EDGES = {
+    1: [(0, 1)],
+    2: [(1, 2), (0, 2), (0, 1)],
+    3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
+}
+_CORNERS: dict[int, list[tuple[int, ...]]] = {
+    1: [(0, 2), (2, 1)],
+    2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
+    3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
+}
+# children inside: the diagonal they share, and the ring of edges around it; of a tetrahedron there are three choices
+RING: dict[int, dict[tuple[int, ...], list[tuple[int, ...]]]] = {
+    1: {(): []},
+    2: {(): [(3, 4, 5)]},
+    3: {
+        (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
+        (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
+        (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
+    },
+}
+# shape (choices, children, dim + 1)
+CHILDREN = {
+    dim: np.array([_CORNERS[dim] + [(*d, *edge) for edge in ring] for d, ring in RING[dim].items()], dtype=np.int8)
+    for dim in EDGES
+}
+
 
 @cache
 def inner_points(corners: int, degree: int) -> np.ndarray:
@@ -103,26 +130,15 @@ def to_parts(parts: np.ndarray, degree: int) -> np.ndarray:
 def halved(corners: np.ndarray) -> np.ndarray:
     """Segments in two, triangles in four, tetrahedra in eight: the parts of one follow each other.
 
+    The octahedron inside a tetrahedron is cut around its diagonal from the middle of edge (0, 2) to that of (1, 3).
+
     Args:
         corners: Coordinates of the corners, or linear functions there, shape (simplices, corners, ...).
     """
-    a, b = corners[:, 0], corners[:, 1]
-    parts: list[tuple[np.ndarray, ...]]
-    if corners.shape[1] == 2:
-        m = (a + b) / 2
-        parts = [(a, m), (m, b)]
-    elif corners.shape[1] == 3:
-        c = corners[:, 2]
-        d, e, f = (b + c) / 2, (c + a) / 2, (a + b) / 2
-        parts = [(a, f, e), (f, b, d), (e, d, c), (d, e, f)]
-    else:
-        c, d = corners[:, 2], corners[:, 3]
-        ab, ac, ad, bc, bd, cd = (a + b) / 2, (a + c) / 2, (a + d) / 2, (b + c) / 2, (b + d) / 2, (c + d) / 2
-        parts = [(a, ab, ac, ad), (ab, b, bc, bd), (ac, bc, c, cd), (ad, bd, cd, d)]
-        # the octahedron inside around its diagonal from ac to bd
-        parts += [(ac, bd, p, q) for p, q in ((ab, bc), (bc, cd), (cd, ad), (ad, ab))]
-    stacked = np.stack([np.stack(part, axis=1) for part in parts], axis=1)
-    return stacked.reshape(-1, *corners.shape[1:])
+    dim = corners.shape[1] - 1
+    middles = [(corners[:, i] + corners[:, j]) / 2 for i, j in EDGES[dim]]
+    nodes = np.concatenate([corners, np.stack(middles, axis=1)], axis=1)
+    return nodes[:, CHILDREN[dim][1 if dim == 3 else 0]].reshape(-1, *corners.shape[1:])
 
 
 @cache

@@ -17,11 +17,12 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
-from fenicsx_obstacle.discrete.halving import EDGES, Numbers
+from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before, total
+from fenicsx_obstacle.polynomials import EDGES
 
 ALIKE = 1e-9  # relative difference of lengths that are the same
 # edges of the faces of a cell

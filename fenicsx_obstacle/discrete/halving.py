@@ -20,35 +20,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import before
+from fenicsx_obstacle.polynomials import CHILDREN, EDGES, RING
 
 Project: TypeAlias = Callable[[np.ndarray], np.ndarray]
-
-# a simplex with vertices 0..dim and the middles of its edges after them: edges, children at the corners, the rest
-EDGES = {
-    1: [(0, 1)],
-    2: [(1, 2), (0, 2), (0, 1)],
-    3: [(2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1)],
-}
-_CORNERS: dict[int, list[tuple[int, ...]]] = {
-    1: [(0, 2), (2, 1)],
-    2: [(0, 5, 4), (5, 1, 3), (4, 3, 2)],
-    3: [(0, 9, 8, 7), (9, 1, 6, 5), (8, 6, 2, 4), (7, 5, 4, 3)],
-}
-# children inside: the diagonal they share, and the ring of edges around it; of a tetrahedron there are three choices
-_RING: dict[int, dict[tuple[int, ...], list[tuple[int, ...]]]] = {
-    1: {(): []},
-    2: {(): [(3, 4, 5)]},
-    3: {
-        (4, 9): [(5, 6), (6, 8), (8, 7), (7, 5)],
-        (5, 8): [(4, 6), (6, 9), (9, 7), (7, 4)],
-        (6, 7): [(4, 5), (5, 9), (9, 8), (8, 4)],
-    },
-}
-# shape (choices, children, dim + 1)
-CHILDREN = {
-    dim: np.array([_CORNERS[dim] + [(*d, *edge) for edge in ring] for d, ring in _RING[dim].items()], dtype=np.int8)
-    for dim in EDGES
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,12 +291,12 @@ _WITHIN: dict[int, list[tuple[int, int]]] = {1: [], 2: [(1, 2), (0, 2), (0, 1)]}
 
 
 def _inner_diagonal(corner: np.ndarray) -> np.ndarray:
-    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `_RING[3]`.
+    """Which of the three diagonals cuts the inner octahedron of each tetrahedron, by its place in `RING[3]`.
 
     The shortest; of two alike the one along the longest edge: then the six tetrahedra of a cube become those of its
     eight parts.
     """
-    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (EDGES[3][m - 4] for m in pair)] for pair in _RING[3]]
+    ends = [[(corner[:, i] + corner[:, j]) / 2 for i, j in (EDGES[3][m - 4] for m in pair)] for pair in RING[3]]
     edges = np.stack([corner[:, j] - corner[:, i] for i, j in EDGES[3]], axis=1)
     longest = edges[np.arange(len(edges)), (edges**2).sum(axis=2).argmax(axis=1)]
     score = []

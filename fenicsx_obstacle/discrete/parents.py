@@ -13,10 +13,11 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
-from fenicsx_obstacle.discrete.halving import CHILDREN, EDGES, Numbers
+from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.shared_dofs import without_cell
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import before, on_root, total
+from fenicsx_obstacle.polynomials import CHILDREN, EDGES
 
 Name = TypeVar("Name", str, tuple[int, int])
 ToCad: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]

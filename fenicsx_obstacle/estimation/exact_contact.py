@@ -14,6 +14,7 @@ from fenicsx_obstacle.estimation.norms import ExactSolution
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.polynomials import halved
 from fenicsx_obstacle.releases import cell_name
 
 TOUCHES = 1e-14  # relative to the values of u
@@ -69,6 +70,6 @@ def exact_contact(model: Model, exact: ExactSolution | None, level: Level) -> di
         area += float((size * touching[:, : len(points)].dot(weights))[done].sum())
         force += float((size * pressing)[done].sum())
         if not last:
-            cells = polynomials.halved(cells[mixed])
+            cells = halved(cells[mixed])
     found = {"area": total(level.comm, area)}
     return {**found, "force": total(level.comm, force)} if p is not None else found

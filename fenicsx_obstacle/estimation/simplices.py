@@ -11,7 +11,6 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.halving import EDGES
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.quadrature import blocks
@@ -99,7 +98,7 @@ class Simplices:
         """Values at the edges of tetrahedra in the mesh's order, shape (cells, 6), by the two vertices in the order
         here, shape (cells, 4, 4)."""
         found = np.zeros((len(values), 4, 4), dtype=values.dtype)
-        for k, (i, j) in enumerate(EDGES[3]):
+        for k, (i, j) in enumerate(polynomials.EDGES[3]):
             found[:, i, j] = found[:, j, i] = values[:, k]
         last = found[self._turned]
         found[self._turned] = last[:, [0, 1, 3, 2]][:, :, [0, 1, 3, 2]]
