@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.definitions import FIELDS, JUMP, NORMAL_FLUX, RESERVED, Definitions
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, parse
-from fenicsx_obstacle.text import counted, nearest
+from fenicsx_obstacle.text import nearest
 
 # of elastic bodies: fields, and numbers that are known without a functional
 BODY_FIELDS = ("u_x", "u_y", "u_z", "p", "contact", "von_mises")
 BODY_QUANTITIES = ("force_x", "force_y", "force_z", "moment", "moment_x", "moment_y", "moment_z", "contact_area",
                    "half_width", "peak", "approach")  # fmt: skip
 DRAWN, DRAWN_OF_BODIES = ("u", "p"), ("u_x", "u_y", "u_z", "gap", "p", "von_mises")  # what a plot of a line can show
-_DIMENSIONS = {"interval": 1, "rectangle": 2, "disk": 2, "l-shape": 2, "box": 3}
 
 
 def parse_report(scene: Definitions) -> dict[str, Formula]:
@@ -52,7 +51,7 @@ class _Checker:
     """Names and arities of one entry; `earlier` are the entries before it."""
 
     def __init__(self, scene: Definitions, formula: Formula, earlier: set[str]):
-        self.formula, self.dimension = formula, _DIMENSIONS.get(scene.tables.mesh.shape or "")
+        self.formula = formula
         fields, numbers = BODY_FIELDS if scene.of_body else FIELDS, earlier | _quantities(scene)
         self.varying = {*scene.known_names, *fields, *numbers}
         self.constant = {name for name in scene.known_names if scene.is_constant(name)} | numbers
@@ -64,12 +63,8 @@ class _Checker:
                 self._name(node, name, inside, on_part)
             case ast.Call(func=ast.Name(id=name), args=[first, *rest]) if name in FUNCTIONALS:
                 self.check(first, inside=True, on_part=name == "integral" and len(rest) > 0)
-                if name == "at":
-                    if self.dimension is not None and len(rest) != self.dimension:
-                        wanted = counted(self.dimension, "coordinate")
-                        raise InputError(self.formula.pointing(node, f"at() needs {wanted} here, not {len(rest)}"))
-                    for coordinate in rest:
-                        self.check(coordinate, inside=False)
+                for coordinate in rest if name == "at" else ():
+                    self.check(coordinate, inside=False)
             case ast.Call(args=args):
                 for child in args:
                     self.check(child, inside=inside, on_part=on_part)
