@@ -1,4 +1,4 @@
-"""Polynomials on intervals, triangles and tetrahedra in Bernstein form, whose coefficients bound them.
+"""Polynomials on intervals, triangles and tetrahedra in Bernstein form, whose coefficients bound them; their parts.
 
 A polynomial lies between its smallest and its largest Bernstein coefficient; at the vertices it equals the coefficient
 there, so that the bounds of affine functions are exact. Coefficients are found from values inside the simplex: a

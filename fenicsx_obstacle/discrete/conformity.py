@@ -23,7 +23,7 @@ from fenicsx_obstacle.discrete.cells import (
 )
 from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.mesh_validation import FLAT, place
-from fenicsx_obstacle.discrete.simplex_sizes import sizes
+from fenicsx_obstacle.discrete.simplex_sizes import edge_lengths, sizes, spanned
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
 from fenicsx_obstacle.parallel import first_given, on_root
@@ -174,31 +174,17 @@ def _rim(mesh: dmesh.Mesh, found: Components) -> tuple[np.ndarray, ...]:
     members = np.array(facet_vertices(dim))[numbers]
     all_vertices = mesh.geometry.x[rows]
     # the height over the facet: what is thin across may be long along it
-    u_values = sizes(all_vertices) * _longest(all_vertices) ** dim
+    volume = spanned(all_vertices[:, 1:] - all_vertices[:, :1])
     vertices = mesh.geometry.x[np.take_along_axis(rows, members, axis=1)]
-    base = sizes(vertices) * _longest(vertices) ** (dim - 1) if dim > 1 else 1.0
-    width = _shortest(vertices) if dim > 1 else np.inf
-    size = np.minimum(u_values / base, width)
+    base = spanned(vertices[:, 1:] - vertices[:, :1]) if dim > 1 else 1.0
+    width = edge_lengths(vertices).min(axis=1) if dim > 1 else np.inf
+    size = np.minimum(volume / base, width)
     return vertices, found.of_cells[cells], size
 
 
 def _count(mesh: dmesh.Mesh) -> int:
     facets = mesh.topology.index_map(mesh.topology.dim - 1)
     return facets.size_local + facets.num_ghosts
-
-
-def _edges(vertices: np.ndarray) -> np.ndarray:
-    """Lengths of the edges of simplices."""
-    pairs = combinations(range(vertices.shape[1]), 2)
-    return np.stack([np.linalg.norm(vertices[:, i] - vertices[:, j], axis=1) for i, j in pairs])
-
-
-def _longest(vertices: np.ndarray) -> np.ndarray:
-    return _edges(vertices).max(axis=0, initial=0.0)
-
-
-def _shortest(vertices: np.ndarray) -> np.ndarray:
-    return _edges(vertices).min(axis=0, initial=np.inf)
 
 
 def _near(vertices: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -303,7 +289,7 @@ def _check_overlap(mesh: dmesh.Mesh, found: Components, samples: np.ndarray, com
         inside = weights.min(axis=1, initial=np.inf) > INSIDE
     else:  # a side of one part that lies on cells of another, not in their plane only
         away = np.linalg.norm(np.einsum("nv,nvi->ni", weights, vertices) - points[rows], axis=1)
-        inside = (weights.min(axis=1, initial=np.inf) > -INSIDE) & (away <= NEAR * _longest(vertices))
+        inside = (weights.min(axis=1, initial=np.inf) > -INSIDE) & (away <= NEAR * edge_lengths(vertices).max(axis=1))
     facet, sample = np.divmod(rows[inside], samples.shape[1])
     hits = np.concatenate(comm.allgather(np.column_stack([facet, found.of_cells[cells[inside]], sample])))
     facets = np.unique(hits[:, 0])

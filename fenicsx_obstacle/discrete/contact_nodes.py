@@ -25,6 +25,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.assembly import NO_WEIGHT
+from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
@@ -362,18 +363,12 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
 
 
 def _facet_nodes(level: VectorLevel, own: np.ndarray) -> np.ndarray:
-    """Nodes of owned facets, shape (facets, nodes of a facet) (collective)."""
-    mesh, V = level.mesh, level.V
-    dim, layout = mesh.topology.dim - 1, V.dofmap.dof_layout
-    mesh.topology.create_connectivity(dim, dim + 1)
-    mesh.topology.create_connectivity(dim + 1, dim)
-    cells_of, facets_of = mesh.topology.connectivity(dim, dim + 1), mesh.topology.connectivity(dim + 1, dim)
-    cells = np.array([cells_of.links(facet)[0] for facet in own], dtype=np.int32)
-    number = [int(np.flatnonzero(facets_of.links(c) == f)[0]) for c, f in zip(cells, own, strict=True)]
-    count = len(facets_of.links(0)) if facets_of.num_nodes else 0
-    closures = [np.sort(layout.entity_closure_dofs(dim, k)) for k in range(count)]
-    rows = [releases.cell_dofs(V)[c][closures[k]] for c, k in zip(cells, number, strict=True)]
-    return np.array(rows, dtype=np.int32).reshape(len(rows), len(layout.entity_closure_dofs(dim, 0)))
+    """Nodes of owned facets in ascending order, shape (facets, nodes of a facet) (local)."""
+    V, dim, table = level.V, level.mesh.topology.dim - 1, cell_facets(level.mesh)
+    cells, numbers = np.nonzero(np.isin(table, own))
+    first = np.unique(table[cells, numbers], return_index=True)[1]
+    closures = [np.sort(V.dofmap.dof_layout.entity_closure_dofs(dim, k)) for k in range(table.shape[1])]
+    return releases.cell_dofs(V)[cells[first, None], np.array(closures)[numbers[first]]]
 
 
 def _weightless(

@@ -15,6 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.shared_dofs import without_cell
+from fenicsx_obstacle.discrete.simplex_sizes import edge_lengths
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import before, on_root, total
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES
@@ -171,8 +172,8 @@ def on_cad(
     pairs = comm.gather((points[mine], rows + first, entities))
     found = on_root(comm, lambda: to_cad(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
     old, new = points[mine], found[first : first + len(mine)]
-    distance, size, corner = np.linalg.norm(new - old, axis=1), np.full(len(points), np.inf), corners(mesh)
-    longest = np.linalg.norm(corner[:, :, None] - corner[:, None], axis=3).max(axis=(1, 2))
+    distance, size = np.linalg.norm(new - old, axis=1), np.full(len(points), np.inf)
+    longest = edge_lengths(corners(mesh)).max(axis=1)
     np.minimum.at(size, releases.cell_dofs(V), longest[:, None])
     far = (distance > STAYS * np.linalg.norm(old, axis=1)) & (distance < size[mine])
     moved = points.copy()

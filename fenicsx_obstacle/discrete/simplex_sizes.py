@@ -32,9 +32,13 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
+def edge_lengths(corners: np.ndarray) -> np.ndarray:
+    """Lengths of the edges of simplices given by their corners (n, vertices, 3), shape (n, edges)."""
+    pairs = combinations(range(corners.shape[1]), 2)
+    return np.stack([lengths(corners[:, i] - corners[:, j]) for i, j in pairs], axis=1)
+
+
 def sizes(corners: np.ndarray) -> np.ndarray:
     """dim! times the volume over the longest edge to the power dim."""
-    edges = corners[:, 1:] - corners[:, :1]
-    pairs = combinations(range(corners.shape[1]), 2)
-    longest = np.max([lengths(corners[:, i] - corners[:, j]) for i, j in pairs], axis=0, initial=0.0)
+    edges, longest = corners[:, 1:] - corners[:, :1], edge_lengths(corners).max(axis=1)
     return spanned(edges / np.maximum(longest, np.finfo(float).tiny)[:, None, None])

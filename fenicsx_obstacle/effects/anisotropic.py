@@ -46,10 +46,6 @@ class Anisotropic(Effect):
         )
         return cls(tuple(rows))
 
-    @property
-    def text(self) -> str:
-        return "[" + ", ".join("[" + ", ".join(entry.text for entry in row) + "]" for row in self.value) + "]"
-
     def push(self, data: Sampler) -> tuple[float, float]:
         return 0.0, 0.0
 

@@ -25,10 +25,6 @@ class OfComponents(Effect):
 
     vector_valued = True
 
-    @property
-    def text(self) -> str:
-        return f"[{', '.join(part.text for part in self.value)}]"
-
 
 class BodyForce(OfComponents):
     """The load f of f(v) = int f . v, sampled as `Level.W` is; unit: force per volume."""

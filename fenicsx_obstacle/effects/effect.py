@@ -164,7 +164,7 @@ class Effect:
     @property
     def text(self) -> str:
         """Its data as the user wrote them."""
-        return self.value.text
+        return _text(self.value)
 
     @property
     def inputs(self) -> list[Field]:
@@ -254,6 +254,11 @@ class Effect:
     def stiffness(self, data: Sampler) -> np.ndarray | None:
         """Its tension in local cells where it is elastic, for the scale of eps."""
         return None
+
+
+def _text(value: Any) -> str:
+    """A datum, or several in lists, in words."""
+    return f"[{', '.join(map(_text, value))}]" if isinstance(value, tuple) else value.text
 
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:

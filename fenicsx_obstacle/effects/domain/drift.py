@@ -59,10 +59,6 @@ class Drift(Effect):
         bent = [effect.key for effect in effects if effect.elastic and not effect.affine]
         return f"{self.key} can only be combined with tension, not with {bent[0]}" if bent else None
 
-    @property
-    def text(self) -> str:
-        return "[" + ", ".join(part.text for part in self.value) + "]"
-
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return inner(data.field(self.value), grad(u)) * v * data.dx
 
