@@ -343,7 +343,8 @@ def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
     monkeypatch.setattr(render, "find_spec", lambda name: code if code is None else True)
     monkeypatch.setattr(render, "_WORKER", [sys.executable, "-c", code or ""])
     monkeypatch.setattr(render, "PATIENCE", 1.0 if "took" in why else 60.0)
-    assert solve(disk, cells=4).plot(folder / "disk.png").said.endswith(f"drawn by matplotlib, without views in space: {why}")
+    said = solve(disk, cells=4).plot(folder / "disk.png").said
+    assert said.endswith(f"drawn by matplotlib, without views in space: {why}")
 
 
 @pytest.mark.slow
