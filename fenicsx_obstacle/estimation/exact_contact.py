@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model

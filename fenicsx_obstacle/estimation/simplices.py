@@ -8,7 +8,7 @@ from functools import reduce
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
