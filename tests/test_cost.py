@@ -3,13 +3,14 @@
 import json
 import math
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
-from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
+from fenicsx_obstacle.parallel import forget_peak_memory, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.show.cost_tables import duration, megabytes
 from fenicsx_obstacle.studies import cost, price
@@ -92,8 +93,6 @@ def test_contact_of_exact_solutions():
 
 def study(scene, folder, budget=SMALL, stop=None):
     """All rows; or those before `stop` of them are there, as if the run were interrupted."""
-    stores = []
-    on_root(COMM, lambda: stores.append(RowStore(folder)))
     found = []
 
     def on_row(row):
@@ -101,15 +100,12 @@ def study(scene, folder, budget=SMALL, stop=None):
         if len(found) == stop:
             raise KeyboardInterrupt
 
-    try:
+    with closing(RowStore(folder, COMM)) as store:
         one = CostStudy(scene, {}, budget, folder, COMM)
         try:
-            return one, one.run(on_row, stores[0] if stores else None)
+            return one, one.run(on_row, store)
         except KeyboardInterrupt:
             return one, found
-    finally:
-        for store in stores:
-            store.close()
 
 
 @pytest.mark.serial

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -44,22 +45,16 @@ def report_cost(
     """
     comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
     study = CostStudy(scene, options, budget, folder, comm)
-    stores: list[RowStore] = []  # on rank 0 alone: it holds a lock
-    on_root(comm, lambda: stores.append(RowStore(folder, fresh=fresh)))
-    try:
+    with closing(RowStore(folder, comm, fresh=fresh)) as store:
         say(LINE.format(*tables.HEADS).rstrip())
-        rows = study.run(lambda row: _say_row(row, say), stores[0] if stores else None)
+        rows = study.run(lambda row: _say_row(row, say), store)
         say("")
         for line in summary(rows, study):
             say(line)
-        if comm.rank == 0:
-            stores[0].write_table([row for row in rows if row["choice"] not in ("", "map")])
+        store.write_table([row for row in rows if row["choice"] not in ("", "map")])
         names = on_root(comm, _draw, folder, study, rows)
         say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', *names, page.NAME])}")
         return rows
-    finally:
-        for store in stores:
-            store.close()
 
 
 def _say_row(row: Row, say: Say) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
@@ -145,14 +146,8 @@ def report_study(
     """
     comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
     study = Study(scene, vary, options, comm, uncertainty=uncertainty)
-    stores: list[RowStore] = []  # on rank 0 alone: it holds a lock
-    run = on_root(comm, _open_store, stores, folder, fresh)
-    try:
-        table = StudyTable(vary, run, penalised=study.penalised)
-        return _report(study, table, stores[0] if stores else None, folder, say, latex)
-    finally:
-        for store in stores:
-            store.close()
+    with closing(RowStore(folder, comm, fresh=fresh)) as store:
+        return _report(study, store, say, latex)
 
 
 def report_find(
@@ -185,23 +180,16 @@ def report_find(
     """
     comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
     search = Find(scene, vary, target, options, comm, within=within)
-    stores: list[RowStore] = []
-    run = on_root(comm, _open_store, stores, folder, fresh)
-    try:
-        table = StudyTable(search.vary, run, penalised=search.penalised)
-        rows = _report(search, table, stores[0] if stores else None, folder, say, None)
-    finally:
-        for store in stores:
-            store.close()
+    with closing(RowStore(folder, comm, fresh=fresh)) as store:
+        rows = _report(search, store, say)
     words = f"{search.quantity} = {search.reached(rows[-1]):.6g}, the target is {search.target:g}"
     say(f"{search.key} = {search.found:.6g}: {words}; {counted(len(rows), 'solve')}")
     return rows
 
 
-def _report(
-    study: Study | Find, table: StudyTable, store: RowStore | None, folder: Path, say: Say, latex: Path | None
-) -> list[Row]:
-    comm = study.comm
+def _report(study: Study | Find, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
+    """Run a study, print its rows, and draw them into the folder of its store (collective)."""
+    comm, folder, table = study.comm, store.folder, StudyTable(study.vary, store.run, penalised=study.penalised)
     answers: list[Answer | None] = [None]
 
     def on_row(row: Row, answer: Answer | None) -> None:
@@ -228,11 +216,6 @@ def _report(
     drawn = on_root(comm, _draw_study, folder, study, rows, table)
     say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', 'last/', *drawn, page.NAME])}")
     return rows
-
-
-def _open_store(stores: list[RowStore], folder: Path, fresh: bool) -> int:
-    stores.append(RowStore(folder, fresh=fresh))
-    return stores[0].run
 
 
 def _is_drawn(folder: Path, row: Row) -> bool:

@@ -101,7 +101,6 @@ class Study:
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self._solves = Solves(self.comm)
         self._store: RowStore | None = None
-        self._stored = False
         self._base = changed(scene, dict(options))
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
         self.points = [(combination, self.scene(combination)) for combination in combinations]
@@ -117,7 +116,7 @@ class Study:
 
         Args:
             on_row: Called with each row, and its answer where it was computed now.
-            store: Where finished rows are kept: on rank 0, None elsewhere or for none.
+            store: Where finished rows are kept, or None.
         """
         self.keep_in(store)
         rows: list[Row] = []
@@ -148,13 +147,13 @@ class Study:
         return self._solves.answer(combination, scene, uncertainty=self._uncertainty)
 
     def keep_in(self, store: RowStore | None) -> None:
-        """Set the store of finished rows: on rank 0, None on other ranks or without a store (collective)."""
-        self._store, self._stored = store, self.comm.bcast(store is not None)
+        """Set the store of finished rows."""
+        self._store = store
 
     def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:
         """A row, and its answer where it is computed now; it is kept if so (collective)."""
         key = self._key(scene)
-        row = on_root(self.comm, self._find, key)
+        row = None if self._store is None else self._found(self._store, key)
         if row is not None:
             return row, None
         answer = self.solve(combination, scene)
@@ -165,31 +164,26 @@ class Study:
 
     def keep(self, row: Row, scene: Scene) -> Row:
         """Keep a row, unless it is there (collective)."""
-        return row if "key" in row else on_root(self.comm, self._add, self._key(scene), row)
+        return row if self._store is None or "key" in row else self._store.add(self._key(scene), row)
 
     def write_table(self, rows: list[Row]) -> None:
         """Write rows.csv, where rows are kept (collective)."""
-        on_root(self.comm, self._write_table, rows)
+        if self._store is not None:
+            self._store.write_table(rows)
 
     def _key(self, scene: Scene) -> str:
         kind = self.by + " uncertainty" * self._uncertainty
-        return on_root(self.comm, row_key, scene, kind, self.comm.size) if self._stored else ""
+        return "" if self._store is None else on_root(self.comm, row_key, scene, kind, self.comm.size)
 
-    def _find(self, key: str) -> Row | None:
-        row = None if self._store is None else self._store.find(key)
-        if self._store is not None and row is not None:
-            try:
+    def _found(self, store: RowStore, key: str) -> Row | None:
+        """The row of a key, if it is in the store (collective)."""
+        row = store.find(key)
+        try:
+            if row is not None:
                 check_record(row)
-            except ValueError as error:
-                raise InputError(f"{self._store.path}: a row is damaged: {error}; use --fresh or --output") from None
+        except ValueError as error:
+            raise InputError(f"{store.path}: a row is damaged: {error}; use --fresh or --output") from None
         return row
-
-    def _add(self, key: str, row: Row) -> Row:
-        return row if self._store is None else self._store.add(key, row)
-
-    def _write_table(self, rows: list[Row]) -> None:
-        if self._store is not None:
-            self._store.write_table(rows)
 
     def _extras(self, answer: Answer) -> Row:
         """Quantities that a study measures in addition to those of a single answer (collective)."""

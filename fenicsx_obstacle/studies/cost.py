@@ -85,7 +85,7 @@ class CostStudy:
 
         Args:
             on_row: Called with each row.
-            store: Where they are kept: on rank 0, None elsewhere.
+            store: Where they are kept, or None.
         """
         self._store = store
         rows = [self._find_truth()]
@@ -108,7 +108,7 @@ class CostStudy:
         """The first row: the reference solution (collective)."""
         coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
-        row = on_root(self.comm, self._find, key)
+        row = self._find(key)
         if self.full.tables.exact is not None:
             self.truth = ExactReference(self.full, self.comm)
         else:
@@ -144,7 +144,7 @@ class CostStudy:
                 for choice in going:
                     scene = self._scene_of(choice, size)
                     key = self._key(scene, choice.name)
-                    row = on_root(self.comm, self._find, key)
+                    row = self._find(key)
                     if row is None:
                         context = context or self._bench(scene)
                         row = self._keep(key, self._row_of(choice, context, scene))
@@ -206,7 +206,7 @@ class CostStudy:
         self._end(choice, found, scene)
         while choice.name not in self.ends:  # what is on the disk
             key = self._key(scene, f"{choice.name} {len(found)}")
-            row = on_root(self.comm, self._find, key)
+            row = self._find(key)
             if row is None:
                 break
             found.append(row)
@@ -256,7 +256,7 @@ class CostStudy:
         for size in islice(uniform_meshes(self.scene), MAP_MESHES):
             scene = penalised[0].on(size)
             keys = [self._key(scene, f"map {k}") for k in range(MAP_EPS)]
-            stored = [on_root(self.comm, self._find, key) for key in keys]
+            stored = [self._find(key) for key in keys]
             context = None if all(stored) else self._bench(scene)
             if isinstance(context, str):
                 return
@@ -299,12 +299,9 @@ class CostStudy:
         return on_root(self.comm, row_key, scene, f"cost {kind} {truth}", self.comm.size)
 
     def _find(self, key: str) -> Row | None:
+        """The row of a key, if it was finished (collective)."""
         return None if self._store is None else self._store.find(key)
 
     def _keep(self, key: str, row: Row) -> Row:
         """The row on the disk, the same on all ranks (collective)."""
-
-        def add() -> Row:
-            return row if self._store is None else self._store.add(key, row)
-
-        return on_root(self.comm, add)
+        return row if self._store is None else self._store.add(key, row)

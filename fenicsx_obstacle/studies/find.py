@@ -125,7 +125,7 @@ class Find:
 
         Args:
             on_row: Called with each row, and its answer where it was computed now.
-            store: Where finished rows are kept: on rank 0, None elsewhere or for none.
+            store: Where finished rows are kept, or None.
 
         Raises:
             InputError: If the target is not between the values at both ends; no row is kept then.

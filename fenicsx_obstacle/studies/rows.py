@@ -12,19 +12,20 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from stat import S_ISREG
-from typing import Any
+from typing import IO, Any
 
 import msgspec
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle.discrete import files
 from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.origin import versions
-from fenicsx_obstacle.parallel import make_folder, remove_empty, write_text
+from fenicsx_obstacle.parallel import make_folder, on_root, remove_empty, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 
 
@@ -49,21 +50,65 @@ def row_key(scene: Scene, kind: str, ranks: int) -> str:
 
 
 class RowStore:
-    """The rows in a folder, locked by one process (one rank).
+    """The rows in a folder, locked by one process: rank 0 reads and writes them for all ranks.
 
     Attributes:
         folder: Where rows.jsonl and rows.csv are.
+        path: rows.jsonl.
         run: Number of this run in this folder; timings are compared within one run only.
     """
 
-    def __init__(self, folder: Path, *, fresh: bool = False):
-        """Open the folder; `fresh` forgets the rows in it.
+    def __init__(self, folder: Path, comm: MPI.Comm | None = None, *, fresh: bool = False):
+        """Open the folder; `fresh` forgets the rows in it (collective on `comm`; without one for one process alone).
 
         Raises:
             InputError: If the folder cannot be written, or another study is writing there.
         """
-        self.folder, self.path = folder, folder / "rows.jsonl"
-        self._made = make_folder(folder)
+        self.folder, self.path, self._comm = folder, folder / "rows.jsonl", comm
+        self._rows: dict[str, dict[str, Any]] = {}
+        self._lock: IO[str] | None = None
+        self.run: int = self._on_root(self._open, fresh)
+
+    def find(self, key: str) -> dict[str, Any] | None:
+        """The row of this key, if it was ever finished here (collective)."""
+        found: dict[str, Any] | None = self._on_root(self._rows.get, key)
+        return found
+
+    def keys(self) -> list[str]:
+        """Of all rows (one rank)."""
+        return list(self._rows)
+
+    def add(self, key: str, row: Mapping[str, Any]) -> dict[str, Any]:
+        """Write a row; when this returns it is on the disk (collective).
+
+        Returns:
+            The row with its key and run.
+
+        Raises:
+            InputError: If the disk is full or gone.
+        """
+        kept: dict[str, Any] = self._on_root(self._add, {"key": key, "run": self.run, **row})
+        return kept
+
+    def write_table(self, rows: Sequence[Mapping[str, Any]]) -> None:
+        """rows.csv: the rows of this study so far (collective)."""
+        self._on_root(lambda: write_text(self.folder / "rows.csv", as_csv(rows)))
+
+    def close(self) -> None:
+        """Unlock the folder; without a row the file is removed (no MPI calls)."""
+        if self._lock is None:
+            return
+        if not self._rows:
+            Path(self._lock.name).unlink(missing_ok=True)
+        self._lock.close()
+        remove_empty(self._made)
+
+    def _on_root(self, action: Callable[..., Any], *args: Any) -> Any:
+        return action(*args) if self._comm is None else on_root(self._comm, action, *args)
+
+    def _open(self, fresh: bool) -> int:
+        """Lock the folder and read its rows; the number of this run."""
+        folder, self._made = self.folder, make_folder(self.folder)
         try:
             self._lock = open(folder / ".lock", "w", opener=_no_link)  # noqa: SIM115  (until it is closed)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the system releases it even after kill -9
@@ -74,26 +119,10 @@ class RowStore:
             raise InputError(f"{folder}: another study is writing there; choose another folder with --output") from None
         except OSError as error:
             raise InputError(f"{folder}: {error.strerror}; choose another folder with --output") from None
-        self.run = 1 + max((row.get("run", 0) for row in self._rows.values()), default=0)
+        return 1 + max((row.get("run", 0) for row in self._rows.values()), default=0)
 
-    def find(self, key: str) -> dict[str, Any] | None:
-        """The row of this key, if it was ever finished here."""
-        return self._rows.get(key)
-
-    def keys(self) -> list[str]:
-        """Of all rows."""
-        return list(self._rows)
-
-    def add(self, key: str, row: Mapping[str, Any]) -> dict[str, Any]:
-        """Write a row; when this returns it is on the disk.
-
-        Returns:
-            The row with its key and run.
-
-        Raises:
-            InputError: If the disk is full or gone.
-        """
-        kept = {"key": key, "run": self.run, **row}
+    def _add(self, kept: dict[str, Any]) -> dict[str, Any]:
+        """Write a row with its content, and keep it."""
         try:
             with open(self.path, "a", opener=_no_link) as file:
                 file.write(json.dumps({**kept, "content": _content(kept)}) + "\n")
@@ -101,19 +130,8 @@ class RowStore:
                 os.fsync(file.fileno())
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}") from None
-        self._rows[key] = kept
+        self._rows[kept["key"]] = kept
         return kept
-
-    def write_table(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """rows.csv: the rows of this study so far."""
-        write_text(self.folder / "rows.csv", as_csv(rows))
-
-    def close(self) -> None:
-        """Unlock the folder; without a row the file is removed."""
-        if not self._rows:
-            Path(self._lock.name).unlink(missing_ok=True)
-        self._lock.close()
-        remove_empty(self._made)
 
     def _load(self) -> dict[str, dict[str, Any]]:
         """Rows on the disk; what a killed process left of a last line is cut off."""
