@@ -143,53 +143,58 @@ def _sizes(answer: Answer) -> tuple[float, float]:
 def _drawn(
     curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, sizes: tuple[float, float] = (0.0, 0.0)
 ) -> Any:
-    """u above and the pressure below, over the distance along the line; `sizes` are those of u and p anywhere."""
-    if "u" not in next(iter(curves.values())):
-        return _drawn_of_body(curves, u, title, sizes)
-    page, (above, below) = figure(6.4, 4.8, rows=2, sharex=True)
-    several = len(curves) > 1
-    for number, (label, columns) in enumerate(curves.items()):
-        s, p, gap = (np.array(columns[key], dtype=float) for key in ("s", "p", "gap"))
-        height, p = steady(np.array(columns["u"], dtype=float), sizes[0]), steady(p, sizes[1])
-        look = _look(number, len(curves), label)
-        above.plot(s, height, **look)
-        below.plot(s, p, **({**look, "color": VERMILION} if not several else look))
-        for axes, key in ((above, "u"), (below, "p")):
-            _formula(axes, columns, key, look if several else None)
-        if not several:
-            if np.isfinite(gap).all():
-                side = -1.0 if p.max(initial=0.0) >= -p.min(initial=0.0) else 1.0
-                edge = steady(height + side * gap, sizes[0])
-                above.plot(s, edge, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label="obstacle")
-                above.legend(fontsize=8, **ABOVE)
-            _shade((above, below), s, p, sizes[1])
-    above.set_ylabel(fill(plain(u), 24))
-    below.set_ylabel("contact pressure")
-    return _finished(page, (above, below), title, several=several, shaded=not several)
+    """u above and the pressure below, over the distance along the line; of bodies a panel for each component of u, and
+    on the contact boundary gap and pressure, elsewhere the von Mises stress.
 
-
-def _drawn_of_body(
-    curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, sizes: tuple[float, float]
-) -> Any:
-    """Components of u, and on the contact boundary gap and pressure, elsewhere the von Mises stress."""
+    Args:
+        curves: Columns of each curve by its label.
+        u: The label of u.
+        title: Of the page.
+        sizes: The largest abs(u) and abs(p) anywhere.
+    """
     first, several = next(iter(curves.values())), len(curves) > 1
-    on_boundary = not np.isnan(np.array(first["gap"], dtype=float)).all()
+    of_body = "u" not in first
+    on_boundary = not np.isnan(_column(first, "gap")).all()
     left_out = {"von_mises"} if on_boundary else {"gap", "p"}
-    keys = [key for key in DRAWN_OF_BODIES if key in first and key not in left_out]
-    page, panels = figure(6.4, 0.8 + 1.6 * len(keys), rows=len(keys), sharex=True)
-    words = {"gap": "gap", "p": "contact pressure", "von_mises": "von Mises stress"}
+    keys = [key for key in DRAWN_OF_BODIES if key in first and key not in left_out] if of_body else ["u", "p"]
+    labels = {"u": fill(plain(u), 24), "gap": "gap", "p": "contact pressure", "von_mises": "von Mises stress"}
+    page, panels = figure(6.4, 0.8 + (1.6 if of_body else 2.0) * len(keys), rows=len(keys), sharex=True)
+    shaded = not several and (on_boundary or not of_body)
     for axes, key in zip(panels, keys, strict=True):
         for number, (label, columns) in enumerate(curves.items()):
-            s, gap = (np.array(columns[one], dtype=float) for one in ("s", "gap"))
-            values = steady(np.array(columns[key], dtype=float), sizes[key == "p"] if key != "von_mises" else 0.0)
-            look = _look(number, len(curves), label)
-            values = np.where(np.isnan(gap), np.nan, values) if key == "p" else values
+            s, values, look = _column(columns, "s"), _column(columns, key), _look(number, len(curves), label)
+            values = steady(values, 0.0 if key == "von_mises" else sizes[key == "p"])
+            if key == "p" and of_body:
+                values = np.where(np.isnan(_column(columns, "gap")), np.nan, values)
             axes.plot(s, values, **({**look, "color": VERMILION} if key == "p" and not several else look))
             _formula(axes, columns, key, look if several else None)
-            if not several and on_boundary:
-                _shade((axes,), s, np.maximum(np.nan_to_num(np.array(columns["p"], dtype=float)), 0.0), sizes[1])
-        axes.set_ylabel(words.get(key, f"{key}\n{fill(plain(u), 24)}"))
-    return _finished(page, panels, title, several=several, shaded=not several and on_boundary)
+            if key == "u" and not several:
+                _obstacle(axes, columns, sizes)
+            if shaded:
+                p = np.nan_to_num(_column(columns, "p"))
+                _shade(axes, s, np.maximum(p, 0.0) if of_body else steady(p, sizes[1]), sizes[1])
+        axes.set_ylabel(labels.get(key, f"{key}\n{fill(plain(u), 24)}"))
+        axes.grid(True, color="0.9")
+        axes.margins(x=0)
+    panels[-1].set_xlabel("distance along the line" + ("; contact is shaded" if shaded else ""))
+    if several:
+        panels[0].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
+    page.suptitle(heading(title), fontsize=11)
+    return page
+
+
+def _column(columns: Mapping[str, Sequence[float]], key: str) -> np.ndarray:
+    return np.array(columns[key], dtype=float)
+
+
+def _obstacle(axes: Any, columns: Mapping[str, Sequence[float]], sizes: tuple[float, float]) -> None:
+    """The obstacle nearest to a curve of u, if there is one."""
+    u, p, gap = (_column(columns, key) for key in ("u", "p", "gap"))
+    if np.isfinite(gap).all():
+        side = -1.0 if p.max(initial=0.0) >= -p.min(initial=0.0) else 1.0
+        edge = steady(steady(u, sizes[0]) + side * gap, sizes[0])
+        axes.plot(columns["s"], edge, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label="obstacle")
+        axes.legend(fontsize=8, **ABOVE)
 
 
 def _formula(axes: Any, columns: Mapping[str, Sequence[float]], key: str, look: Mapping[str, Any] | None) -> None:
@@ -202,23 +207,10 @@ def _formula(axes: Any, columns: Mapping[str, Sequence[float]], key: str, look: 
         axes.legend(fontsize=8, **ABOVE)
 
 
-def _shade(panels: Sequence[Any], s: np.ndarray, p: np.ndarray, size: float) -> None:
+def _shade(axes: Any, s: np.ndarray, p: np.ndarray, size: float) -> None:
     """Shade where there is contact."""
     for start, end in _runs(np.abs(p) > TOUCHING * np.abs(p).max(initial=size)):
-        for axes in panels:
-            axes.axvspan(s[start], s[end], color=BLUE, alpha=0.12, linewidth=0)
-
-
-def _finished(page: Any, panels: Sequence[Any], title: str, *, several: bool, shaded: bool) -> Any:
-    """The page with the label of the lower axis, the grid, the legend of several curves, and the title."""
-    panels[-1].set_xlabel("distance along the line" + ("; contact is shaded" if shaded else ""))
-    for axes in panels:
-        axes.grid(True, color="0.9")
-        axes.margins(x=0)
-    if several:
-        panels[0].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
-    page.suptitle(heading(title), fontsize=11)
-    return page
+        axes.axvspan(s[start], s[end], color=BLUE, alpha=0.12, linewidth=0)
 
 
 def _look(number: int, count: int, label: str) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -41,28 +42,24 @@ def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool =
     Raises:
         InputError: If the folder cannot be written.
     """
-    return _drawn(answer, folder, None, picture=picture, newton=newton)[1]
+    return report_command(answer, folder, None, picture=picture, newton=newton)[1]
 
 
 def report_command(
-    answer: Answer, folder: Path, started: float, *, picture: bool, newton: bool = False
+    answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool = False
 ) -> tuple[Answer, str]:
     """The same at the end of a command: page and answer.json get its seconds and its memory (collective).
 
     Args:
         answer: That was saved in the folder.
         folder: As for `report_answer`.
-        started: `time.perf_counter()` at the beginning of the command.
+        started: `time.perf_counter()` at the beginning of the command; None leaves the record as it is.
         picture: As for `report_answer`.
         newton: As for `report_answer`.
 
     Returns:
         The answer with these values in its record, and what `report_answer` returns.
     """
-    return _drawn(answer, folder, started, picture=picture, newton=newton)
-
-
-def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool) -> tuple[Answer, str]:
     comm = answer.level.comm
     of_body = answer.scene.model.vector_valued  # which has nodes.csv instead of a free boundary
     if of_body:
@@ -96,14 +93,12 @@ def _drawn(answer: Answer, folder: Path, started: float | None, *, picture: bool
         spent = {"seconds": comm.bcast(seconds), "memory_mb": peak_memory_mb(comm)}
         answer = replace(answer, record={**answer.record, **spent})
         on_root(comm, write_record, folder, answer.record)
-    values = {"record": answer.record, "picture": file, "time_history": moving, "profiles": drawn, "others": others}
-    on_root(comm, _write_page, folder, answer, values)
-    return answer, said
-
-
-def _write_page(folder: Path, answer: Answer, values: Mapping[str, Any]) -> None:
     record = answer.record
-    page.write_page(folder / page.NAME, "answer", answer.scene, record["versions"], record["command"], **values)
+    on_root(comm, partial(
+        page.write_page, folder / page.NAME, "answer", answer.scene, record["versions"], record["command"],
+        record=record, picture=file, time_history=moving, profiles=drawn, others=others,
+    ))  # fmt: skip
+    return answer, said
 
 
 def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
