@@ -182,7 +182,7 @@ def report_find(
     return rows
 
 
-def _report(study: Study | Find, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
+def _report(study: Study, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
     """Run a study, print its rows, and draw them into the folder of its store (collective)."""
     comm, folder, table = study.comm, store.folder, StudyTable(study.vary, store.run, penalised=study.penalised)
     answers: list[Answer | None] = [None]
@@ -190,7 +190,7 @@ def _report(study: Study | Find, store: RowStore, say: Say, latex: Path | None =
     def on_row(row: Row, answer: Answer | None) -> None:
         for line in table.lines(row):
             say(line)
-        if isinstance(study, Study):  # a search has found its last row
+        if not isinstance(study, Find):  # a search has found its last row
             answers[:] = [answer]
 
     rows = study.run(on_row, store)
@@ -219,7 +219,7 @@ def _is_drawn(folder: Path, row: Row) -> bool:
     return mark.exists() and mark.read_text() == row["key"]
 
 
-def _draw_study(folder: Path, study: Study | Find, rows: list[Row], table: StudyTable) -> list[str]:
+def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) -> list[str]:
     """Draw the plots and write the page (one rank).
 
     Returns:

@@ -70,6 +70,8 @@ class Study:
         by: What orders are taken in: eps, h or nothing.
         penalised: Whether any row has an eps.
         last: The scene of the last row.
+        points: The values of each row, and its scene.
+        store: Where finished rows are kept, or None.
     """
 
     def __init__(
@@ -100,7 +102,7 @@ class Study:
         self.vary, self.by = vary, parameter(list(vary))
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self._solves = Solves(self.comm)
-        self._store: RowStore | None = None
+        self.store: RowStore | None = None
         self._base = changed(scene, dict(options))
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
         self.points = [(combination, self.scene(combination)) for combination in combinations]
@@ -118,7 +120,7 @@ class Study:
             on_row: Called with each row, and its answer where it was computed now.
             store: Where finished rows are kept, or None.
         """
-        self.keep_in(store)
+        self.store = store
         rows: list[Row] = []
         for number, (combination, scene) in enumerate(self.points, start=1):
             values = ", ".join(f"{key}={value}" for key, value in combination.items())
@@ -146,14 +148,10 @@ class Study:
         """The answer of a scene with these values of the keys (collective)."""
         return self._solves.answer(combination, scene, uncertainty=self._uncertainty)
 
-    def keep_in(self, store: RowStore | None) -> None:
-        """Set the store of finished rows."""
-        self._store = store
-
     def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:
         """A row, and its answer where it is computed now; it is kept if so (collective)."""
         key = self._key(scene)
-        row = None if self._store is None else self._found(self._store, key)
+        row = None if self.store is None else self._stored(self.store, key)
         if row is not None:
             return row, None
         answer = self.solve(combination, scene)
@@ -164,18 +162,18 @@ class Study:
 
     def keep(self, row: Row, scene: Scene) -> Row:
         """Keep a row, unless it is there (collective)."""
-        return row if self._store is None or "key" in row else self._store.add(self._key(scene), row)
+        return row if self.store is None or "key" in row else self.store.add(self._key(scene), row)
 
     def write_table(self, rows: list[Row]) -> None:
         """Write rows.csv, where rows are kept (collective)."""
-        if self._store is not None:
-            self._store.write_table(rows)
+        if self.store is not None:
+            self.store.write_table(rows)
 
     def _key(self, scene: Scene) -> str:
         kind = self.by + " uncertainty" * self._uncertainty
-        return "" if self._store is None else on_root(self.comm, row_key, scene, kind, self.comm.size)
+        return "" if self.store is None else on_root(self.comm, row_key, scene, kind, self.comm.size)
 
-    def _found(self, store: RowStore, key: str) -> Row | None:
+    def _stored(self, store: RowStore, key: str) -> Row | None:
         """The row of a key, if it is in the store (collective)."""
         row = store.find(key)
         try:

@@ -62,16 +62,17 @@ def find(
     return [flat(row) for row in Find(scene_of(scene), vary, target, options, comm, within=within).run()]
 
 
-class Find:
-    """A search that may be interrupted: rows in a store are not computed again.
+class Find(Study):
+    """A study whose rows are chosen one after the other: both ends of an interval, then where a target is expected.
 
     Attributes:
-        vary: The key, and the ends of the interval.
-        key: The key.
+        key: The key that varies.
+        ends: Of the interval.
+        within: Accuracy of the value, as a share of the interval.
         quantity: What has a target, as it was named.
         target: Its value there.
-        study: Solves the scenes.
         last: The scene of the value that was found; before, of the upper end.
+        rows: All rows by the value of the key, but the one that was found last.
     """
 
     def __init__(
@@ -100,24 +101,12 @@ class Find:
         if not SMALLEST <= within < 1:
             raise InputError(f"find: within = {within:g}: expected a share of the interval, {SMALLEST:g} to 1")
         self.ends = float(min(ends)), float(max(ends))
-        self.vary = {self.key: list(self.ends)}
         self.within = within
-        self.study = Study(scene, self.vary, options, comm)
-        self.last = self.study.last
+        super().__init__(scene, {self.key: list(self.ends)}, options, comm)
         self.quantity, self._place, self.target = _target(target, self.last)
         self.rows: dict[float, Row] = {}
         self._nearest: tuple[float, Answer | None] = (math.inf, None)
         self._found = self.ends[1]
-
-    @property
-    def comm(self) -> MPI.Comm:
-        """Communicator of the solves."""
-        return self.study.comm
-
-    @property
-    def penalised(self) -> bool:
-        """Whether rows have an eps."""
-        return self.study.penalised
 
     @read_once()
     def run(self, on_row: OnRow | None = None, store: RowStore | None = None) -> list[Row]:
@@ -130,12 +119,12 @@ class Find:
         Raises:
             InputError: If the target is not between the values at both ends; no row is kept then.
         """
-        self.study.keep_in(store)
-        solved = [self.study.row({self.key: x}, self._scene(x), keep=False) for x in self.ends]
+        self.store = store
+        solved = [self.row(values, scene, keep=False) for values, scene in self.points]
         values = [self._value(x, row) for x, (row, _) in zip(self.ends, solved, strict=True)]
         self._check_bracket(values)
         for x, (row, answer) in zip(self.ends, solved, strict=True):
-            self._take(x, self.study.keep(row, self._scene(x)), answer, on_row)
+            self._take(x, self.keep(row, self._at(x)), answer, on_row)
         del solved
 
         from scipy.optimize import brentq  # only where a target is looked for
@@ -143,7 +132,7 @@ class Find:
         def difference(x: float) -> float:
             x = self.comm.bcast(float(x))  # one value on all ranks
             if x not in self.rows:
-                row, answer = self.study.row({self.key: x}, self._scene(x))
+                row, answer = self.row({self.key: x}, self._at(x))
                 self._take(x, row, answer, on_row)
             return self._value(x, self.rows[x]) - self.target
 
@@ -151,10 +140,10 @@ class Find:
         found = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
         steep = STEEP * self.within * (max(values) - min(values))
         self._found = self._continuous(self.comm.bcast(float(found)), difference, steep)
-        self.last = self._scene(self._found)
+        self.last = self._at(self._found)
         row = self.rows.pop(self._found)
         rows = [*self.rows.values(), row]
-        self.study.write_table(rows)
+        self.write_table(rows)
         return rows
 
     @property
@@ -171,10 +160,10 @@ class Find:
         x, answer = self._nearest
         if answer is not None and x == self._found:
             return answer
-        return self.study.solve({self.key: self._found}, self.last)
+        return self.solve({self.key: self._found}, self.last)
 
-    def _scene(self, x: float) -> Scene:
-        return self.study.scene({self.key: x})
+    def _at(self, x: float) -> Scene:
+        return self.scene({self.key: x})
 
     def _take(self, x: float, row: Row, answer: Answer | None, on_row: OnRow | None) -> None:
         self.rows[x] = row
