@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
-from fenicsx_obstacle.console import STARTED, check_places, tell, tolerance_status, write_json
+from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import InputError
 
 
@@ -138,16 +139,11 @@ def study(
     if len(values) < len(vary):
         raise InputError("--vary: the same key twice; give all its values in one list")
     scene = _read(scene_file, {**fixed, **{key: some[0] for key, some in values.items()}})
-    from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_study
 
     folder = output or Path("out") / scene.name / "-".join(values)
-    check_places(folder, json_file, latex)
-    say = (lambda text: None) if quiet or json_file == "-" else tell
-    with progress(scene.name, quiet=quiet):
-        rows = report_study(scene, values, fixed, folder, say, uncertainty=uncertainty, fresh=fresh, latex=latex)
-    if json_file is not None:
-        write_json(json_file, rows)
+    run = partial(report_study, scene, values, fixed, folder, uncertainty=uncertainty, fresh=fresh, latex=latex)
+    rows_of(run, scene.name, folder, json_file, latex, quiet=quiet)
 
 
 @commands.command()
@@ -179,19 +175,12 @@ def find(
     """
     (key, ends), fixed = interval(vary), typed(given)
     scene = _read(scene_file, {**fixed, key: ends[0]})
-    from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_find
     from fenicsx_obstacle.studies.find import WITHIN
 
-    folder = output or Path("out") / scene.name / f"find-{key}"
-    check_places(folder, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else tell
-    with progress(scene.name, quiet=quiet):
-        rows = report_find(
-            scene, {key: ends}, target, fixed, folder, say, within=WITHIN if within is None else within, fresh=fresh
-        )
-    if json_file is not None:
-        write_json(json_file, rows)
+    folder, within = output or Path("out") / scene.name / f"find-{key}", WITHIN if within is None else within
+    run = partial(report_find, scene, {key: ends}, target, fixed, folder, within=within, fresh=fresh)
+    rows_of(run, scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()
@@ -216,15 +205,9 @@ def cost(
     fixed = typed(given)
     scene = _read(scene_file, fixed)
     from fenicsx_obstacle.show.cost import report_cost
-    from fenicsx_obstacle.show.progress import progress
 
     folder = output or Path("out") / scene.name / "cost"
-    check_places(folder, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else tell
-    with progress(scene.name, quiet=quiet):
-        rows = report_cost(scene, fixed, budget, folder, say, fresh=fresh)
-    if json_file is not None:
-        write_json(json_file, rows)
+    rows_of(partial(report_cost, scene, fixed, budget, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()
@@ -312,17 +295,11 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
     FAILS means exit status 3.
     """
     from fenicsx_obstacle.checkout import add_tests
-    from fenicsx_obstacle.show.progress import progress
 
     add_tests("theory")
     from tests.theory.show import show_theory
 
-    check_places(output, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else tell
-    with progress("theory", quiet=quiet):
-        rows = show_theory(number, output, say)
-    if json_file is not None:
-        write_json(json_file, rows)
+    rows = rows_of(partial(show_theory, number, output), "theory", output, json_file, quiet=quiet)
     return 3 if any(row["verdict"] == "FAILS" for row in rows) else 0
 
 
@@ -346,7 +323,6 @@ def hard(
     command continues.
     """
     from fenicsx_obstacle.checkout import add_tests
-    from fenicsx_obstacle.show.progress import progress
 
     add_tests("hard")
     from tests.cli.broken.show import show_broken
@@ -359,19 +335,13 @@ def hard(
     ):
         raise InputError("hard: --broken and --faults exclude NAME, --random and each other; --seed and --truths go "
                          "with --random")  # fmt: skip
-    check_places(output, json_file)
-    say = (lambda text: None) if quiet or json_file == "-" else tell
-    with progress("hard", quiet=quiet):
-        if broken:
-            rows = show_broken(output, say)
-        elif faults:
-            rows = show_faults(output, say)
-        elif count is not None:
-            rows = show_random(count, output, say, seed, truths=truths, family=name)
-        else:
-            rows = show_hard(name, output, say)
-    if json_file is not None:
-        write_json(json_file, rows)
+    if broken or faults:
+        run = partial(show_broken if broken else show_faults, output)
+    elif count is not None:
+        run = partial(show_random, count, output, seed=seed, truths=truths, family=name)
+    else:
+        run = partial(show_hard, name, output)
+    rows = rows_of(run, "hard", output, json_file, quiet=quiet)
     return 3 if any(row["verdict"] == "FAILED" for row in rows) else 0
 
 

@@ -11,7 +11,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +113,30 @@ def check_places(folder: Path, json_file: str | None, latex: Path | None = None)
     for option, file in (("--json", json_file), ("--latex", latex)):
         if file is not None and file != "-":
             check_file(MPI.COMM_WORLD, Path(file), option)
+
+
+def rows_of(
+    run: Callable[..., list[Any]], name: str, folder: Path, json_file: str | None, latex: Path | None = None, *,
+    quiet: bool,
+) -> list[Any]:  # fmt: skip
+    """The rows of a command: its places are checked first, and the rows go into its JSON file (collective).
+
+    Args:
+        run: Makes them, and prints with its argument `say`.
+        name: Beside the progress bar.
+        folder: Of the results.
+        json_file: File for the rows; - is standard output, and nothing else is printed then.
+        latex: File for the table in LaTeX.
+        quiet: Neither bar nor words.
+    """
+    from fenicsx_obstacle.show.progress import progress
+
+    check_places(folder, json_file, latex)
+    with progress(name, quiet=quiet):
+        rows = run(say=(lambda text: None) if quiet or json_file == "-" else tell)
+    if json_file is not None:
+        write_json(json_file, rows)
+    return rows
 
 
 def write_json(file: str, records: Sequence[Any]) -> None:

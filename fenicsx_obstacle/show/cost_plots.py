@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import figure, heading
+from fenicsx_obstacle.show.figures import figure, heading, log_ticks, panels
 from fenicsx_obstacle.studies.price import NORMS, Rows, largest_harmless_eps, norms, relative, solved, trusted, unit
 
 _BLUE, _SKY, _GREEN, _ORANGE, _RED, _PINK, _GREY = (
@@ -34,30 +34,26 @@ def drawings(rows: Rows) -> Iterator[tuple[str, str, Any]]:
 def against_seconds(rows: Rows) -> Any:
     """One panel for each norm, the legend in a panel of its own."""
     measured = norms(rows)
-    columns = 3
-    count = -(-(len(measured) + 1) // columns)
-    page, grid = figure(11.5, 3.6 * count, rows=count, columns=columns)
-    panels = np.atleast_1d(grid).ravel()
-    for axes, norm in zip(panels, measured, strict=False):
+    page, every = panels(len(measured) + 1, 11.5, 3.6)
+    for axes, norm in zip(every, measured, strict=False):
         lines = _lines(rows, norm)
         for name, part in lines.items():
             axes.loglog([row["seconds"] for row in part], [relative(row, norm) for row in part], **_look(name))
         axes.set(title=NORMS[norm], xlabel="seconds, mesh and estimate included", ylabel="relative error")
         if lines:
             _floor(axes, rows, norm)
-            _grid(axes)
+            log_ticks(axes)
         else:
             _nothing(axes)
-    for axes in panels[len(measured) :]:
-        axes.axis("off")
-    _legend(panels[len(measured)], rows)
+    every[-1].axis("off")
+    _legend(every[-1], rows)
     page.suptitle(_title(rows, "What accuracy costs"), fontsize=11)
     return page
 
 
 def against_prices(rows: Rows) -> Any:
     """Energy error against Poisson solves, memory and unknowns."""
-    page, panels = figure(11.5, 4.4, columns=3)
+    page, every = panels(3, 11.5, 4.4)
     scale = unit(rows) or 1.0
     keys = {
         "Poisson solves (one linear solve on the finest uniform mesh is 1)": lambda row: row["seconds"] / scale,
@@ -65,17 +61,17 @@ def against_prices(rows: Rows) -> Any:
         "unknowns": lambda row: row["dofs"],
     }
     lines = _lines(rows, "energy")
-    for axes, (label, value) in zip(panels, keys.items(), strict=True):
+    for axes, (label, value) in zip(every, keys.items(), strict=True):
         for name, part in lines.items():
             axes.loglog([value(row) for row in part], [relative(row, "energy") for row in part], **_look(name))
         axes.set(xlabel=label, ylabel="relative error, energy norm")
         axes.xaxis.label.set_fontsize(8.5)
         if lines:
-            _grid(axes)
+            log_ticks(axes)
         else:
             _nothing(axes)
     if lines:
-        _legend(panels[0], rows, inside=True)
+        _legend(every[0], rows, inside=True)
     page.suptitle(_title(rows, "The same error against other costs"), fontsize=11)
     return page
 
@@ -85,9 +81,8 @@ def parts(rows: Rows) -> Any:
     own = next(row["element"] for row in solved(rows) if row.get("parts"))
     shown = [norm for norm in ("energy", "l2", "max") if norm in norms(rows)]
     page, grid = figure(11.5, 3.1 * len(shown), rows=len(shown), columns=3)
-    panels = np.atleast_2d(grid)
     of_mesh = [row for row in solved(rows) if row["choice"] == f"{own} VI"]
-    for line, norm in zip(panels, shown, strict=True):
+    for line, norm in zip(np.atleast_2d(grid), shown, strict=True):
         low, high = np.inf, 0.0
         for axes, rule in zip(line, PARTS, strict=True):
             part = [row for row in solved(rows) if row["choice"] == f"{own} {rule}" and "eps" in row["parts"]]
@@ -108,8 +103,8 @@ def parts(rows: Rows) -> Any:
                 axes.set_title(_WORDS[rule])
         for axes in line:
             axes.set_ylim(low, high)
-            _grid(axes)
-    panels[0, 0].legend(fontsize=7.5)
+            log_ticks(axes)
+    page.axes[0].legend(fontsize=7.5)
     page.suptitle(_title(rows, f"Where the error of {own} comes from"), fontsize=11)
     return page
 
@@ -121,18 +116,16 @@ def over_h_and_eps(rows: Rows) -> Any:
     places = [row for row in rows if row["choice"] == "map"]
     shown = [norm for norm in (*NORMS, "pressure") if any(norm in row.get("errors", {}) for row in places)]
     shown = [norm for norm in shown if norm in ("energy", "l2", "max", "pressure") or norm in norms(rows)][:6]
-    count = -(-len(shown) // 3)
-    page, grid = figure(11.5, 4.3 * count, rows=count, columns=min(len(shown), 3))
-    panels = np.atleast_1d(grid).ravel()
+    page, every = panels(len(shown), 11.5, 4.3)
     sides = np.array(sorted({row["h"] for row in places}))
     # each mesh has values of eps of its own: they go with the largest tension that its cells see
     columns = [sorted((row for row in places if row["h"] == h), key=lambda row: row["eps"]) for h in sides]
     heights = [_edges(np.array([row["eps"] for row in column])) for column in columns]
     edges = _edges(sides), np.sort(np.concatenate(heights))
-    for axes, norm in zip(panels, shown, strict=False):
+    for axes, norm in zip(every, shown, strict=True):
         found = [np.array([_of_size(row, norm) for row in column]) for column in columns]
-        every = np.concatenate(found)
-        scale = LogNorm(np.nanmin(every), np.nanmax(every))
+        errors = np.concatenate(found)
+        scale = LogNorm(np.nanmin(errors), np.nanmax(errors))
         for k, (height, part) in enumerate(zip(heights, found, strict=True)):
             boxes = np.ma.masked_invalid(part[:, None])
             drawn = axes.pcolormesh(edges[0][k : k + 2], height, boxes, norm=scale, cmap="viridis_r")
@@ -151,9 +144,7 @@ def over_h_and_eps(rows: Rows) -> Any:
         axes.set(xlabel="h", ylabel="eps", title=NORMS.get(norm, "pressure, L2 norm"))
         axes.set_xlim(edges[0][0], edges[0][-1])
         axes.set_ylim(edges[1][0], edges[1][-1])
-    for axes in panels[len(shown) :]:
-        axes.axis("off")
-    panels[0].legend(fontsize=7, loc="upper left")
+    every[0].legend(fontsize=7, loc="upper left")
     page.suptitle(_title(rows, "Relative error over mesh and penalty parameter"), fontsize=11)
     return page
 
@@ -228,19 +219,6 @@ def _legend(axes: Any, rows: Rows, *, inside: bool = False) -> None:
     for name in names if not inside else ():
         axes.plot([], [], **_look(name))
     axes.legend(fontsize=6.5 if inside else 9, loc="best" if inside else "center")
-
-
-def _grid(axes: Any) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    for axis in (axes.xaxis, axes.yaxis):
-        low, high = axis.get_view_interval()
-        few = low > 0 and np.log10(high / low) < 2.2
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=9))
-        axis.set_minor_locator(NullLocator())
-        if few and low > 1e-4 and high < 1e5:
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.grid(True, which="major", color="0.9")
 
 
 def _title(rows: Rows, words: str) -> str:

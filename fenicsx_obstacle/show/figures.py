@@ -28,6 +28,8 @@ BESIDE: Mapping[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)
 # a legend above the axes, on the right: on the left is the power of ten of the upright one
 ABOVE: Mapping[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncol": 4, "frameon": False}
 LABEL, LINE = 60, 64  # characters of a label, and of each line of a title
+FEW = 2.2  # decades
+GRID = "0.9"
 DASHES = ("-", "--", "-.", (0, (6, 1, 1, 1, 1, 1)))  # dots are for what is expected
 
 
@@ -53,6 +55,30 @@ def figure(
     """A figure and its axes, sizes in inches; `widths` of the columns are in proportion."""
     page = blank(width, height)
     return page, page.subplots(rows, columns, sharex=sharex, gridspec_kw={"width_ratios": widths})
+
+
+def panels(count: int, width: float, height: float, columns: int = 3) -> tuple[Any, list[Any]]:
+    """A figure with so many axes, row by row; `height` is that of a row."""
+    columns = min(count, columns)
+    page, grid = figure(width, height * -(-count // columns), rows=-(-count // columns), columns=columns)
+    every = list(np.atleast_1d(grid).ravel())
+    for axes in every[count:]:
+        axes.remove()
+    return page, every[:count]
+
+
+def log_ticks(axes: Any) -> None:
+    """Grid and ticks of two logarithmic axes: decades and, within `FEW` of them, also 2 and 5, without exponents."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        few = low > 0 and np.log10(high / low) < FEW
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=9))
+        axis.set_minor_locator(NullLocator())
+        if few and low > 1e-4 and high < 1e5:
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.grid(True, color=GRID)
 
 
 def legend_below(page: Any, swatches: Mapping[str, Mapping[str, Any]], line: str) -> None:

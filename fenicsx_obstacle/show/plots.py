@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import BESIDE, DASHES, figure, heading, plain, style
+from fenicsx_obstacle.show.figures import BESIDE, DASHES, figure, heading, log_ticks, plain, style
 from fenicsx_obstacle.show.sweep import sweep
 from fenicsx_obstacle.studies.grid import Vary, along, lines_of
 from fenicsx_obstacle.studies.orders import Quantity, lookup, parameter, quantities
@@ -109,20 +109,12 @@ def _other(rows: Rows, by: str) -> str:
 
 def _finish(axes: Any, rows: Rows) -> None:
     """Ticks, title, and the legend beside the axes."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     for axis, limits in ((axes.xaxis, axes.set_xlim), (axes.yaxis, axes.set_ylim)):
         low, high = axis.get_view_interval()
         if high / low < 4:  # a factor of 4 at least, or noise looks like a trend
             low, high = np.sqrt(low * high) * np.array([0.5, 2.0])
             limits(low, high)
-        # within one and a half decades the decades alone would leave an axis without figures
-        few = np.log10(high / low) < 1.5
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,), numticks=12))
-        axis.set_minor_locator(NullLocator())
-        if few and low > 1e-4 and high < 1e5:
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.grid(True, which="major", color="0.9")
+    log_ticks(axes)
     axes.legend(fontsize=8, **BESIDE)
     title, methods = heading(rows[0]["title"] or rows[0]["scene"]), dict.fromkeys(row["method"] for row in rows)
     axes.set_title(f"{title} ({rows[0]['element']}, {', '.join(methods)})", fontsize=10)

@@ -20,6 +20,7 @@ from fenicsx_obstacle.show.figures import (
     BLUE,
     COLOURS,
     DASHES,
+    GRID,
     INK,
     VERMILION,
     check_name,
@@ -174,7 +175,7 @@ def _drawn(
                 p = np.nan_to_num(_column(columns, "p"))
                 _shade(axes, s, np.maximum(p, 0.0) if of_body else steady(p, sizes[1]), sizes[1])
         axes.set_ylabel(labels.get(key, f"{key}\n{fill(plain(u), 24)}"))
-        axes.grid(True, color="0.9")
+        axes.grid(True, color=GRID)
         axes.margins(x=0)
     panels[-1].set_xlabel("distance along the line" + ("; contact is shaded" if shaded else ""))
     if several:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.figures import BESIDE, COLOURS, figure, heading, plain, steady, style, terms_of
+from fenicsx_obstacle.show.figures import BESIDE, COLOURS, GRID, heading, panels, plain, steady, style, terms_of
 from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, lines_of
 from fenicsx_obstacle.studies.orders import lookup
 from fenicsx_obstacle.text import short
@@ -25,12 +25,10 @@ def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary, report: Mapping[str, An
     """
     names = figures_of(rows[-1])
     columns = min(len(names), 2 if len(names) < 5 else 3)
-    count = -(-len(names) // columns)
-    page, grid = figure(max(3.4 * columns, 4.8), max(2.7 * count, 3.6) + 0.3, rows=count, columns=columns)
-    panels = np.atleast_1d(grid).ravel()
+    page, every = panels(len(names), max(3.4 * columns, 4.8), 3.9 if len(names) <= columns else 2.85, columns)
     key = along(vary)
     lines = lines_of(rows, key)
-    for axes, (name, label) in zip(panels, names.items(), strict=False):
+    for axes, (name, label) in zip(every, names.items(), strict=True):
         terms = terms_of((report or {}).get(name.removeprefix("report.")), report or {})
         size = max((abs(lookup(row, f"report.{term}") or 0.0) for row in rows for term in terms), default=0.0)
         for number, (line, part) in enumerate(lines.items()):
@@ -39,12 +37,10 @@ def sweep(rows: Sequence[Mapping[str, Any]], vary: Vary, report: Mapping[str, An
             order = np.argsort(x)
             axes.plot(x[order], steady(y, size)[order], label=plain(line), **style(number, len(COLOURS)))
         axes.set(xlabel=plain(last_part(key)), ylabel=plain(label))
-        axes.grid(True, color="0.9")
+        axes.grid(True, color=GRID)
         _scale(axes, vary[key])
-    for axes in panels[len(names) :]:
-        axes.remove()
     if len(lines) > 1:
-        panels[min(columns, len(names)) - 1].legend(fontsize=8, **BESIDE)
+        every[columns - 1].legend(fontsize=8, **BESIDE)
     page.suptitle(heading(rows[0]["title"] or rows[0]["scene"]), fontsize=11)
     return page
 

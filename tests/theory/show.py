@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import textwrap
 import time
@@ -16,7 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.parallel import on_root, write_lines
 from fenicsx_obstacle.scenes.catalogue import names
-from fenicsx_obstacle.show.figures import figure, save, style
+from fenicsx_obstacle.show.figures import panels, save, style
 from fenicsx_obstacle.text import counted
 from tests.theory.statement import Curve, Finding, Found, Panel, find, statements
 
@@ -107,14 +106,10 @@ def slug(number: str) -> str:
 def drawing(found: Found, title: str) -> Any:
     """The picture of a statement: panels side by side, at most three in a row."""
     columns = min(len(found.panels), 3)
-    rows = math.ceil(len(found.panels) / columns)
     labels = {tuple(curve.label for curve in panel.curves) for panel in found.panels}
     crowded = len(labels) == 1 and len(found.panels[0].curves) > CROWDED
-    page, axes = figure(4.6 * columns + 1.5 * crowded, 3.9 * rows, rows, columns)
-    flat = [axes] if len(found.panels) == 1 else list(axes.flat)
-    for part in flat[len(found.panels) :]:
-        part.set_axis_off()
-    for part, panel in zip(flat, found.panels, strict=False):
+    page, flat = panels(len(found.panels), 4.6 * columns + 1.5 * crowded, 3.9)
+    for part, panel in zip(flat, found.panels, strict=True):
         _panel(part, panel)
         if not crowded:
             part.legend(fontsize=7)
