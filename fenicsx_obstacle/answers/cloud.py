@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from dolfinx import fem
@@ -17,6 +18,7 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.discrete.simplex_sizes import volumes
+from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
@@ -58,7 +60,10 @@ class Cloud:
         dim, count = level.mesh.topology.dim, own_cells(level.mesh)
         inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
         elastic = next(effect for effect in answer.scene.effects if effect.elastic)
-        tension = elastic.norm_matrix(data)
+        if elastic.role == "matrix tension":
+            tension = [[data.cellwise(entry) for entry in row] for row in cast(Rows, elastic.value)]
+        else:
+            tension = [[data.cellwise(elastic.value, positive=True)]]
         reference, found = Reference(level.mesh), []
         for block in [*blocks(count)] or [slice(0, 0)]:
             x = corners(level.mesh, block)

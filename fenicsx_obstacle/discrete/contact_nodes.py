@@ -28,7 +28,7 @@ from fenicsx_obstacle.discrete.assembly import NO_WEIGHT
 from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
-from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.discrete.levels import Level, lagrange_degree, of_mesh
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
@@ -127,10 +127,8 @@ def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndar
     Raises:
         InputError: If it is another space, or the mesh is no domain.
     """
-    cell, layout = releases.cell_name(V.mesh), V.dofmap.dof_layout
-    degree = next((d for d in (1, 2) if layout.num_dofs == _nodes_of(cell, d)), None)
-    gdim = V.mesh.geometry.dim
-    if degree is None or len(layout.entity_dofs(0, 0)) != 1 or V.dofmap.index_map_bs != gdim:
+    cell, degree, gdim = releases.cell_name(V.mesh), lagrange_degree(V), V.mesh.geometry.dim
+    if degree is None or V.dofmap.index_map_bs != gdim:
         raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 with {gdim} components, "
                          f"not of {V.ufl_element()}")  # fmt: skip
     pair = vector_pair(pairs()[f"{'P' if cell in SIMPLICES else 'Q'}{degree}"])
@@ -151,13 +149,6 @@ def over(level: Level) -> VectorLevel:
 def vector_pair(pair: Pair) -> Pair:
     """The same V_h with pressures at all nodes; its cell rules are not used, contact uses rules on facets."""
     return Pair(pair.name, pair.degree, pair.rules, ("Lagrange", pair.degree))
-
-
-def _nodes_of(cell: str, degree: int) -> int:
-    """Lagrange nodes in a cell."""
-    dim = {"interval": 1, "triangle": 2, "quadrilateral": 2}.get(cell, 3)
-    simplex = {1: dim + 1, 2: (dim + 1) * (dim + 2) // 2}
-    return simplex[degree] if cell in SIMPLICES else (degree + 1) ** dim
 
 
 class ContactNodes:

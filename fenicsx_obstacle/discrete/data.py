@@ -171,7 +171,7 @@ class Data(Samples):
         """
         entries = [[self.cellwise(entry) for entry in row] for row in rows]
         if rows not in self._definite:
-            from fenicsx_obstacle.discrete.tensors import check_between  # only where a model has a matrix
+            from fenicsx_obstacle.discrete.sampling_check import check_between  # only where a model has a matrix
 
             self._check_definite(rows)
             check_between(self, rows)
@@ -189,7 +189,7 @@ class Data(Samples):
         return np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
 
     def _check_definite(self, rows: Rows) -> None:
-        from fenicsx_obstacle.discrete.tensors import check_definite  # only where a model has a matrix
+        from fenicsx_obstacle.discrete.sampling_check import check_definite  # only where a model has a matrix
 
         check_definite(self.level, rows, self.matrices(rows))
 

@@ -282,10 +282,8 @@ def of_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray] | 
         InputError: If it is another space, or the mesh is no domain.
     """
     cell = releases.cell_name(V.mesh)
-    layout, dim = V.dofmap.dof_layout, V.mesh.topology.dim
-    sizes = {comb(dim + k, k) if cell in SIMPLICES else (k + 1) ** dim: k for k in (1, 2)}  # dofs of a cell
-    degree = sizes.get(layout.num_dofs)
-    if degree is None or len(layout.entity_dofs(0, 0)) != 1 or V.dofmap.index_map_bs != 1:
+    degree = lagrange_degree(V)
+    if degree is None or V.dofmap.index_map_bs != 1:
         raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 and one component, not "
                          f"of {V.ufl_element()}")  # fmt: skip
     pair = _nodal_pair(cell, degree)
@@ -295,6 +293,13 @@ def of_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray] | 
     level = of_pair(of_mesh(releases.settle(V.mesh), source, facets), pair)
     level.__dict__["V"] = V  # in place of one made on first use
     return level
+
+
+def lagrange_degree(V: fem.FunctionSpace) -> int | None:
+    """Degree, 1 or 2, of continuous Lagrange elements; None of other elements (local)."""
+    layout, dim, simplex = V.dofmap.dof_layout, V.mesh.topology.dim, releases.cell_name(V.mesh) in SIMPLICES
+    of_dofs = {comb(dim + k, k) if simplex else (k + 1) ** dim: k for k in (1, 2)}  # in a cell
+    return of_dofs.get(layout.num_dofs) if len(layout.entity_dofs(0, 0)) == 1 else None
 
 
 def _nodal_pair(cell: str, degree: int) -> Pair | None:

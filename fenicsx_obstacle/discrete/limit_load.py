@@ -36,7 +36,7 @@ def check_limit_load(problem: MeshSystem) -> None:
         InputError: Since no solution exists.
     """
     effects, data, level = problem.model.effects, problem.data, problem.level
-    bounded = [effect for effect in effects if effect.greatest(data) is not None]
+    bounded = [effect for effect in effects if effect.film]
     others = [e for e in effects if e.holds or e.gives_way or not e.symmetric or e.push(data) is None]
     if not bounded or others:
         return
@@ -45,7 +45,7 @@ def check_limit_load(problem: MeshSystem) -> None:
     opposed = problem.below if load < 0 else problem.above
     if load == 0 or opposed is not None or total(comm, np.count_nonzero(problem.fixed)) == 0:
         return
-    s = bounded[0].greatest(data)
+    s = data.cellwise(bounded[0].value, positive=True)
     conditions = [(load, _along_edges(data, s))]
     if level.pair.degree == 1 and releases.cell_name(level.mesh) in SIMPLICES:
         conditions.append((load_inside, _around_free_dofs(data, s)))

@@ -71,7 +71,7 @@ class Problem(MeshSystem):
     def _checks(self) -> tuple[str, tuple[Check, ...]]:
         """A hint, and the checks that only some effects need."""
         hint, checks = "", list[Check]()
-        if any(effect.greatest(self.data) is not None for effect in self.model.effects):
+        if any(effect.film for effect in self.model.effects):
             hint = HINT
             checks.append(torn)
         if any(effect.role == "drift" for effect in self.model.effects):

@@ -3,6 +3,7 @@
 Forms take one value per cell. A spot that no midpoint meets, such as `where(hypot(x - 0.503, y) < 0.004, -1, 1)`, does
 not enter them; the datum is wrong all the same. So data are evaluated at the nodes as well, and at points that a
 search finds: it follows the datum downwards, and each of its conditions to where it holds and to where it does not.
+Matrices are checked in cells, and by the same search between the samples.
 """
 
 from __future__ import annotations
@@ -12,13 +13,17 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.discrete.samples import Samples
-from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.effects.field import Field, Rows
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest
+from fenicsx_obstacle.text import counted
 
 ROUND_OFF = 1e-8  # of the largest value: what is below zero by round-off
+ROUND_OFF_OF_ENTRIES = 1e-10  # of the entries of a matrix
 STARTS = 6  # points that a search begins with
 STEPS = 24  # a step is halved where it leads no further: 24 halvings reach 1e-7 of the first
 CANDIDATES = 50  # points at which the worst values are looked for in the mesh
@@ -123,3 +128,51 @@ def _sought(data: Samples, fields: Sequence[Field], quantity: Quantity, nodes: n
 
 def _finite(values: np.ndarray, instead: float = np.inf) -> np.ndarray:
     return np.where(np.isfinite(values), values, instead)
+
+
+def check_definite(level: Level, rows: Rows, matrices: np.ndarray) -> None:
+    """Reject a matrix that is not symmetric and positive definite in all cells (collective).
+
+    Args:
+        level: The mesh.
+        rows: The matrix.
+        matrices: Its values in cells, shape (cells or 1, rows, rows).
+
+    Raises:
+        InputError: Naming where it stands.
+    """
+    place, comm, dim = rows[0][0].source.partition("[0]")[0], level.comm, level.mesh.geometry.dim
+    if len(rows) != dim:
+        raise InputError(f"{place}: a matrix of {len(rows)} rows, but points have {counted(dim, 'coordinate')}")
+    skew = np.abs(matrices - matrices.transpose(0, 2, 1))
+    if largest(comm, skew) > ROUND_OFF_OF_ENTRIES * largest(comm, np.abs(matrices)):
+        raise InputError(f"{place}: is not symmetric; entries differ by {largest(comm, skew):.3g}")
+    least = smallest(comm, np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2))
+    if least <= 0:
+        raise InputError(f"{place}: must be positive definite; its least eigenvalue is {least:.3g}")
+
+
+def check_between(data: Samples, rows: Rows) -> None:
+    """Reject a matrix that is indefinite at a point between the samples (collective).
+
+    Raises:
+        InputError: Naming the place.
+    """
+    entries = [entry for row in rows for entry in row if not entry.uniform]
+    if not entries:
+        return
+
+    def least(x: np.ndarray) -> np.ndarray:
+        values = np.stack([data.at(entry, x) for row in rows for entry in row], axis=1)
+        matrices = values.reshape(-1, len(rows), len(rows))
+        finite = np.isfinite(matrices).all(axis=(1, 2))
+        found = np.full(len(matrices), np.inf)
+        found[finite] = np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1))[finite] / 2)[:, 0]
+        return found
+
+    found = inadmissible(data, entries, least, 0.0)
+    if found is not None:
+        place = rows[0][0].source.partition("[0]")[0]
+        raise InputError(
+            f"{place}: must be positive definite; its least eigenvalue is {found[0]:.3g} at {data.place(found[1])}"
+        )

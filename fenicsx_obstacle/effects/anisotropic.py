@@ -55,9 +55,6 @@ class Anisotropic(Effect):
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.eigenvalues(self.value)[:, -1]
 
-    def norm_matrix(self, data: Sampler) -> list[list[Any]]:
-        return [[data.cellwise(entry) for entry in row] for row in self.value]
-
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return inner(self.tension_at(u, data) * grad(u), grad(v)) * data.dx
 

@@ -135,6 +135,7 @@ class Effect:
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
+    film: ClassVar[bool] = False  # its force per length is below its value, whatever the slope
     gives_way: ClassVar[bool] = False  # an obstacle that pushes back in proportion to the distance beyond it
     pointwise: ClassVar[bool] = (
         False  # its force at a node depends on u at this node only, and does not decrease with u
@@ -202,10 +203,6 @@ class Effect:
         """Local nodal values of the lower and the upper soft obstacle, or None."""
         return None, None
 
-    def greatest(self, data: Sampler) -> Any:
-        """The least upper bound of its force per length, or None if there is none."""
-        return None
-
     def push(self, data: Sampler) -> tuple[float, float] | None:
         """Smallest and largest local value of its part of f, for the maximum principle; None if there is no such
         principle.
@@ -227,16 +224,6 @@ class Effect:
     def vector(self, data: Sampler) -> np.ndarray | None:
         """Its part of f(v) that is not a form: forces at owned nodes (collective)."""
         return None
-
-    def squared_norm(self, e: Any, data: Sampler) -> ufl.Form | None:
-        """The square of the energy norm of a difference, where it is elastic."""
-        energy = self.energy(e, data)
-        return None if energy is None else 2 * energy
-
-    def norm_matrix(self, data: Sampler) -> list[list[Any]]:
-        """The rows of the matrix M of that norm, |e|^2 = int (M grad e) . grad e; one number stands for its multiples
-        of the identity."""
-        return [[data.cellwise(self.value, positive=True)]]
 
     def energy_of_motion(self, velocity: Any, data: Sampler) -> ufl.Form | None:
         """Its part of the energy of motion, where u_t is the velocity."""

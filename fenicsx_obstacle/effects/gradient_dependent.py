@@ -29,6 +29,3 @@ class GradientDependent(Effect):
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value, positive=True)
-
-    def squared_norm(self, e: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, positive=True) * inner(grad(e), grad(e)) * data.dx

@@ -118,7 +118,10 @@ class ExactData:
 
 def squared_energy_norm(model: Model, e: Any, data: Sampler) -> Any:
     """||mu^(1/2) grad e||^2 as a form, mu the tension where it does not depend on the slope: a(e, e) then."""
-    return sum(cast(Any, effect.squared_norm(e, data)) for effect in model.effects if effect.elastic)
+    elastic = model.elastic
+    if elastic.affine:
+        return 2 * cast(Any, elastic.energy(e, data))
+    return data.cellwise(elastic.value, positive=True) * ufl.inner(ufl.grad(e), ufl.grad(e)) * data.dx
 
 
 @dataclass(frozen=True, eq=False)
