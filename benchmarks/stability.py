@@ -1,17 +1,16 @@
-"""Renew the tables of docs/hard_scenes.md and the pictures of docs/stability.md from a run of the suite or of families.
+"""Renew the tables of docs/tables/hard_scenes.md from a run of the suite or of families.
 
 ./obstacle hard && .venv/bin/python benchmarks/stability.py [out/hard]
 ./obstacle hard drift --output out/drift && .venv/bin/python benchmarks/stability.py out/drift
 """
 
-import shutil
 import sys
 from pathlib import Path
 
 DOCS = Path(__file__).parent.parent / "docs"
 LAST = "## Measured\n"
 HEADING = "\n### "
-WHOLE = 60  # scenes at least: pictures are of the whole suite
+WHOLE = 60  # scenes at least: tables of the whole suite replace all others
 
 
 def families(text: str) -> dict[str, str]:
@@ -21,16 +20,14 @@ def families(text: str) -> dict[str, str]:
 
 
 def renew(folder: Path) -> None:
-    """Put the tables of tables.md in place of those of the same families, and the pictures next to it."""
-    page = DOCS / "hard_scenes.md"
+    """Put the tables of tables.md in place of those of the same families."""
+    page = DOCS / "tables" / "hard_scenes.md"
     text, new = page.read_text(), families((folder / "tables.md").read_text())
     start = text.find(HEADING, text.index(LAST))
     head, old = (text, {}) if start < 0 else (text[:start], families(text[start:]))
     whole = sum(table.count("\n") - 3 for table in new.values()) >= WHOLE
     tables = new if whole else {**old, **new}
     page.write_text("\n\n".join([head.rstrip("\n"), *tables.values()]) + "\n")
-    for name in ("digits.png", "steps.png") if whole else ():
-        shutil.copy(folder / name, DOCS / name)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def test_the_list():
     assert len(cases()) >= 40
     assert {path.stem for path in FOLDER.glob("*.toml")} - {"suite"} <= {one.scene or one.name for one in cases()}
     assert all(one.hard for one in cases())
-    told = (DEMOS.parent / "docs" / "hard_scenes.md").read_text()
+    told = (DEMOS.parent / "docs" / "tables" / "hard_scenes.md").read_text()
     assert all(f"| {one.name} |" in told for one in cases())
     assert named("drift") == tuple(one for one in cases() if one.family == "drift")
     with pytest.raises(InputError, match="did you mean 'ridge'"):

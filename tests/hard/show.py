@@ -86,7 +86,7 @@ def summary(all_figures: Sequence[Summary], seconds: float) -> str:
 
 
 def markdown(all_figures: Sequence[Summary]) -> str:
-    """One table for each family, as docs/hard_scenes.md has them."""
+    """One table for each family, as docs/tables/hard_scenes.md has them."""
     lines = []
     for family in dict.fromkeys(figures.case.family for figures in all_figures):
         lines += ["", f"### {family[0].upper()}{family[1:]}", "", _row(MARKDOWN), _row(["---"] * len(MARKDOWN))]
