@@ -1,6 +1,6 @@
 """Differences between dolfinx 0.5, 0.9 and 0.11; no other module depends on the release.
 
-docs/policy.md says which releases were tested, and when; tests/releases.sh tests them.
+docs/limitations.md says which releases were tested, and when; tests/releases.sh tests them.
 """
 
 from __future__ import annotations
