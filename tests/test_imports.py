@@ -68,7 +68,7 @@ UNWANTED = {
     "reports": package("scenes", "functionals") | package("discrete", "distance"),
     "Newton at work": package("answers", "iterates") | package("show", "newton"),
     "bodies": package("answers", "bodies") | package("scenes", "bodies", "body_report") | package("forms", "elasticity")
-    | package("discrete", "contact_nodes", "rigid", "tensors", "vector_levels", "vector_problem")
+    | package("discrete", "contact_nodes", "rigid", "vector_levels", "vector_problem")
     | package("problems", "vector_valued"),
     "drift and parts of the boundary": package("discrete", "peclet", "parts"),
 }  # fmt: skip
