@@ -115,7 +115,7 @@ def test_tutorial(file, folder, monkeypatch):
 
 
 def test_tutorials_are_listed():
-    """The index page has a row for each, and the site a page."""
-    text = (DEMOS.parent / "docs" / "tutorials.md").read_text()
+    """docs/applications.md has a row for each, and the site a page."""
+    text = (DEMOS.parent / "docs" / "applications.md").read_text()
     for file in TUTORIALS:
         assert f"| {{doc}}`generated/{file.stem}` |" in text and f"\ngenerated/{file.stem}\n" in text
