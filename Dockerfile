@@ -1,4 +1,4 @@
-# Obstacle problems in a container; docs/container.md has the commands.
+# Obstacle problems in a container; docs/start.md has the commands.
 FROM debian:trixie
 
 COPY debian-packages.txt debian-packages-python.txt /tmp/

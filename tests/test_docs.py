@@ -93,7 +93,7 @@ def workplace(tmp_path, monkeypatch):
 
 
 WITH_BLOCKS = [page for page in PAGES if "```" in page.read_text()]
-LONG = {"README", "accuracy", "commands", "results", "start"}  # pages whose blocks take seconds
+LONG = {"README", "accuracy", "commands", "python", "results", "start"}  # pages whose blocks take seconds
 
 
 @pytest.mark.parametrize(
@@ -203,6 +203,6 @@ def test_results_are_described(name, options):
 
 
 def test_public_names_are_described():
-    """docs/api.md has each public name."""
-    text = (ROOT / "docs" / "api.md").read_text()
+    """docs/python.md has each public name."""
+    text = (ROOT / "docs" / "python.md").read_text()
     assert all(re.search(rf"^\.\. auto(class|function):: {name}$", text, re.MULTILINE) for name in __all__)
