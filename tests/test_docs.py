@@ -93,7 +93,7 @@ def workplace(tmp_path, monkeypatch):
 
 
 WITH_BLOCKS = [page for page in PAGES if "```" in page.read_text()]
-LONG = {"README", "accuracy", "commands", "python", "results", "start"}  # pages whose blocks take seconds
+LONG = {"README", "accuracy", "python", "results", "start"}  # pages whose blocks take seconds
 
 
 @pytest.mark.parametrize(
