@@ -1,6 +1,7 @@
-"""The drawing of the packages in contributing.md: layers, their modules, and who imports whom, read from the code."""
+"""The drawings in contributing.md: layers, their modules and imports, read from the code; the calls of its table."""
 
 import ast
+import re
 import tomllib
 from pathlib import Path
 from textwrap import fill
@@ -46,6 +47,25 @@ def draw(file: Path) -> None:
     plt.close(figure)
 
 
+def draw_calls(file: Path) -> None:
+    """Write the calls from `solve()` to the penalty as SVG: a column for each layer, a row for each call."""
+    matplotlib.use("svg")
+    from matplotlib import pyplot as plt
+
+    calls = re.findall(r"^\| `([\w.]+)` \|", (ROOT / "docs" / "contributing.md").read_text(), re.MULTILINE)
+    layers = list(dict.fromkeys(call.partition(".")[0] for call in calls))
+    figure, axes = plt.subplots(figsize=(9, 0.5 * len(calls) + 0.4))
+    places = [(layers.index(call.partition(".")[0]), -row) for row, call in enumerate(calls)]
+    for (x, y), call in zip(places, calls, strict=True):
+        axes.text(x, y, call, va="center", fontsize=9, bbox={"facecolor": "#eef3f8", "edgecolor": "#345", "pad": 4})
+    for (x0, y0), (x1, y1) in zip(places[:-1], places[1:], strict=True):
+        axes.annotate("", (x1 + 0.1, y1 + 0.3), (x0 + 0.1, y0 - 0.3), arrowprops={"arrowstyle": "->", "color": "#c60"})
+    axes.set(xlim=(-0.05, len(layers)), ylim=(-len(calls) + 0.3, 0.6))
+    axes.axis("off")
+    figure.savefig(file, bbox_inches="tight", metadata={"Date": None})
+    plt.close(figure)
+
+
 def _source(layer: str) -> Path:
     """Its __init__.py, or the module itself."""
     folder = ROOT / PACKAGE / layer
@@ -77,4 +97,5 @@ def setup(app: Sphinx) -> dict[str, bool]:
     file = Path(app.srcdir) / "generated" / "packages.svg"
     file.parent.mkdir(exist_ok=True)
     draw(file)
+    draw_calls(file.with_name("calls.svg"))
     return {"parallel_read_safe": True}
