@@ -56,12 +56,8 @@ def study_page(disk, folder, monkeypatch):
 def self_contained(page):
     for tag, attributes in page.tags:
         assert tag not in ("script", "link", "iframe", "object")
-        for key in ("src", "href", "xlink:href"):
-            assert attributes.get(key, "#").startswith(("#", "data:image/png;base64,")), (tag, attributes)
-    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
-    assert len(ids) == len(set(ids))
-    used = {a["href"][1:] for _, a in page.tags if a.get("href", "").startswith("#")}
-    assert used <= set(ids)
+        assert "href" not in attributes
+        assert tag != "img" or attributes["src"].startswith("data:image/png;base64,"), (tag, attributes)
 
 
 @pytest.mark.slow
@@ -71,8 +67,7 @@ def test_study_page_holds_everything(study_page, disk):
     page = Page(text)
     self_contained(page)
     words = " ".join(page.texts)
-    assert [tag for tag, _ in page.tags].count("svg") == 2
-    assert any(tag == "img" for tag, _ in page.tags)
+    assert [tag for tag, _ in page.tags].count("img") == 3  # two plots, and the last solution
     assert disk.tables.title in words
     assert '[obstacle]\nupper = "c"' in words  # the scene
     assert "-div(tension grad u) = load + p" in words  # the equation

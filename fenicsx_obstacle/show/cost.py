@@ -16,7 +16,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import cost_tables as tables
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.cost_plots import drawings
-from fenicsx_obstacle.show.figures import save, svg
+from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.report import Say
 from fenicsx_obstacle.show.tables import columns
 from fenicsx_obstacle.studies import price
@@ -102,12 +102,12 @@ def _draw(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
     Returns:
         Names of the pictures.
     """
-    drawn: dict[str, tuple[str, str]] = {}
-    for name, words, figure in drawings(rows):
-        save(figure, folder / f"{name}.png")
-        drawn[name] = words, svg(figure, name)
+    drawn = dict[str, Path]()
+    for name, figure in drawings(rows):
+        drawn[name] = folder / f"{name}.png"
+        save(figure, drawn[name])
     page.write_page(
         folder / page.NAME, "cost", study.full, versions(), command(study.comm.size), headline=headline(rows),
         rows=rows, study=study, drawn=drawn, tables=tables,
     )  # fmt: skip
-    return [f"{name}.png" for name in drawn]
+    return [file.name for file in drawn.values()]

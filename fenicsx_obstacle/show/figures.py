@@ -1,8 +1,7 @@
-"""Matplotlib figures without a display, written to files or as SVG into a page."""
+"""Matplotlib figures without a display, written to files."""
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import warnings
@@ -196,16 +195,3 @@ def write_gif(page: Any, path: Path, per_second: float, frames: Iterable[Any], d
         for frame in frames:
             draw(frame)
             writer.grab_frame()
-
-
-def svg(page: Any, name: str) -> str:
-    """A figure as an <svg> element for a page: it fetches nothing, and its ids begin with `name`."""
-    text = io.StringIO()
-    with missing_glyphs():
-        page.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    element = text.getvalue()
-    element = element[element.index("<svg") :]
-    element = re.sub(r"<metadata>.*?</metadata>", "", element, flags=re.DOTALL)
-    # HTML knows the namespaces; several figures on one page must not share ids
-    element = re.sub(r'\s(xmlns(:\w+)?|width|height)="[^"]*"', "", element, count=4).replace("xlink:href", "href")
-    return re.sub(r'(\bid="|href="#|url\(#)', rf"\1{name}-", element)

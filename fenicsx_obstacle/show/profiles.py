@@ -29,7 +29,6 @@ from fenicsx_obstacle.show.figures import (
     plain,
     save,
     steady,
-    svg,
 )
 from fenicsx_obstacle.text import counted, short
 
@@ -37,26 +36,18 @@ TOUCHING = 1e-6  # of the largest pressure: where it is less there is no contact
 LISTED = 8  # curves with a name each; of more the first and the last are named
 
 
-def draw_profiles(answer: Answer, folder: Path) -> dict[str, str]:
+def draw_profiles(answer: Answer, folder: Path) -> dict[str, Path]:
     """Write profile-NAME.csv and profile-NAME.png for each profile of the scene (collective).
 
     Returns:
-        SVG elements by name, on rank 0.
+        The pictures by name.
     """
-    drawn: dict[str, str] = {}
+    drawn = {name: folder / f"profile-{name}.png" for name in answer.scene.tables.profile}
     moment = answer.shown.title.removeprefix(answer.title)
     for name, profile in (profiles_of(answer) if answer.scene.tables.profile else {}).items():
         given = answer.scene.tables.profile[name].compare
         moments, sizes = moments_of(answer, profile, given, compare_place(name)), _sizes(answer.shown)
-
-        def write(name: str = name, profile: Profile = profile, moments: Any = moments, sizes: Any = sizes) -> None:
-            parts = dict(moments) if moments else {None: profile}
-            write_text(folder / f"profile-{name}.csv", as_csv(parts))
-            page = _drawn(_labelled(answer, profile, moments), answer.symbol, name + moment, sizes)
-            save(page, folder / f"profile-{name}.png")
-            drawn[name] = svg(page, f"profile-{name}")
-
-        on_root(answer.level.comm, write)
+        on_root(answer.level.comm, _write, answer, profile, moments, name + moment, sizes, drawn[name])
     return drawn
 
 
@@ -89,38 +80,40 @@ def draw_line(
     t = answer.record["time"]["t"] if "time" in answer.record else None
     profile = compared(answer.scene, profile, given, place, t)
     moments, sizes = moments_of(answer, profile, given, place), _sizes(answer)
-    table = path.with_suffix(".csv")
+    on_root(answer.level.comm, _write, answer, profile, moments, answer.title, sizes, path)
+    return f"{path} and {path.with_suffix('.csv')}: {counted(len(profile.s), 'point')}"
 
-    def write() -> None:
-        write_text(table, as_csv(dict(moments) if moments else {None: profile}))
-        save(_drawn(_labelled(answer, profile, moments), answer.symbol, answer.title, sizes), path)
 
-    on_root(answer.level.comm, write)
-    return f"{path} and {table}: {counted(len(profile.s), 'point')}"
+def _write(
+    answer: Answer, profile: Profile, moments: Sequence[tuple[float, Profile]], title: str, sizes: tuple[float, float],
+    path: Path,
+) -> None:  # fmt: skip
+    """The picture of a profile, and its table beside it."""
+    write_text(path.with_suffix(".csv"), as_csv(dict(moments) if moments else {None: profile}))
+    save(_drawn(_labelled(answer, profile, moments), answer.symbol, title, sizes), path)
 
 
 def draw_rows(
     rows: Sequence[Mapping[str, Any]], vary: Mapping[str, Sequence[Any]], u: str, folder: Path
-) -> dict[str, str]:
+) -> dict[str, Path]:
     """Draw each profile of the rows of a study over one another, and write its table (one rank).
 
     Returns:
-        SVG elements by name.
+        The pictures by name.
     """
     drawn = {}
     for name in rows[-1].get("profiles", {}):
         curves = {
             ", ".join(f"{key} = {short(row['vary'][key])}" for key in vary): row["profiles"][name] for row in rows
         }
-        page = _drawn(curves, u, name)
-        save(page, folder / f"profile-{name}.png")
+        drawn[f"profile-{name}"] = path = folder / f"profile-{name}.png"
+        save(_drawn(curves, u, name), path)
         lines = [",".join([*vary, *next(iter(curves.values()))])]
         for row in rows:
             values = [str(row["vary"][key]) for key in vary]
             columns = row["profiles"][name].values()
             lines += [",".join([*values, *(f"{x:.12g}" for x in one)]) for one in zip(*columns, strict=True)]
-        write_text(folder / f"profile-{name}.csv", "\n".join(lines) + "\n")
-        drawn[f"profile-{name}"] = svg(page, f"profile-{name}")
+        write_text(path.with_suffix(".csv"), "\n".join(lines) + "\n")
     return drawn
 
 

@@ -225,19 +225,19 @@ def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) 
     Returns:
         The names of the plots.
     """
-    from fenicsx_obstacle.show.figures import save, svg
+    from fenicsx_obstacle.show.figures import save
     from fenicsx_obstacle.show.plots import drawings
 
-    elements, picture = dict[str, str](), folder / "last" / PICTURE
+    drawn, picture = dict[str, Path](), folder / "last" / PICTURE
     for name, figure in drawings(rows, study.vary, study.last.tables.report):
-        save(figure, folder / f"{name}.png")
-        elements[name] = svg(figure, name)
-    elements |= draw_rows(rows, study.vary, study.last.tables.u, folder)
+        drawn[name] = folder / f"{name}.png"
+        save(figure, drawn[name])
+    drawn |= draw_rows(rows, study.vary, study.last.tables.u, folder)
     page.write_page(
         folder / page.NAME, "study", study.last, rows[-1]["versions"], command(study.comm.size), record=rows[-1],
-        table=table, drawn=elements, picture=picture if picture.exists() else None,
+        table=table, drawn=drawn, picture=picture if picture.exists() else None,
     )  # fmt: skip
-    return [f"{name}.png" for name in elements]
+    return [file.name for file in drawn.values()]
 
 
 def _has_picture(answer: Answer) -> bool:
