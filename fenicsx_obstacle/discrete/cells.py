@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from math import factorial
+
 import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 
@@ -43,6 +46,15 @@ def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric coordinates, shape (cells, points, vertices), of points (cells, points, 3) in cells."""
     inner = (points - corners[:, :1]) @ duals(corners).transpose(0, 2, 1)
     return np.concatenate([1 - inner.sum(axis=2, keepdims=True), inner], axis=2)
+
+
+def cell_volumes(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Length, area or volume of local cells; of quadrilaterals and hexahedra as if they were parallelepipeds."""
+    vertices, dim = corners(mesh, cells), mesh.topology.dim
+    if releases.cell_name(mesh) in SIMPLICES:
+        return volumes(vertices)
+    parts = corner_simplices(vertices, dim)
+    return factorial(dim) * volumes(parts.reshape(-1, dim + 1, 3)).reshape(parts.shape[:2]).mean(axis=1)
 
 
 def cell_facets(mesh: dmesh.Mesh) -> np.ndarray:

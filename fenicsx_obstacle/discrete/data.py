@@ -15,14 +15,13 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import NO_BOUND, with_infinities
-from fenicsx_obstacle.discrete.cells import corners
+from fenicsx_obstacle.discrete.cells import cell_volumes
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_tags import check_both_sides
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.samples import Samples
 from fenicsx_obstacle.discrete.shared_dofs import share
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.discrete.time_discretization import Moment, Motion
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
@@ -234,7 +233,7 @@ class Data(Samples):
             return fem.Constant(mesh, PETSc.ScalarType(self.level.h))
         sizes, dim = fem.Function(releases.functionspace(mesh, "DG", 0)), mesh.topology.dim
         dofs = releases.cell_dofs(sizes.function_space)[:, 0]
-        sizes.x.array[dofs] = (factorial(dim) * volumes(corners(mesh)[: len(dofs)])) ** (1 / dim)
+        sizes.x.array[dofs] = (factorial(dim) * cell_volumes(mesh)) ** (1 / dim)
         return sizes
 
     @cached_property

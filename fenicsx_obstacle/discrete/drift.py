@@ -23,12 +23,10 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import corner_simplices, corners, own_cells
+from fenicsx_obstacle.discrete.cells import cell_volumes, corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import array_of
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, total
 
 Solve: TypeAlias = Callable[[PETSc.Mat, PETSc.Vec, PETSc.Vec], bool]
@@ -93,7 +91,7 @@ def residence_time(
     dim = level.mesh.topology.dim
     dofs = np.asarray(V.dofmap.index_map.local_to_global(releases.cell_dofs(V)[: len(at), : at.shape[1]].ravel()))
     dofs = dofs.reshape(at.shape[:2]).astype(PETSc.IntType)  # of vertices, which are first
-    size, mu = _sizes(at, dim, releases.cell_name(level.mesh)), _mean_stiffness(data)
+    size, mu = cell_volumes(level.mesh, slice(len(at))), _mean_stiffness(data)
     flow = [_in_cells(data, part) for part in velocity]
     pairs = list(combinations(range(at.shape[1]), 2))
     parts = np.zeros((*at.shape[:2], at.shape[1]))  # the matrix of each cell
@@ -148,15 +146,6 @@ def _of_cells(data: Data, values: np.ndarray) -> np.ndarray:
     if len(values) == 1:
         return values[:, None]
     return values[releases.cell_dofs(data.level.W)[: own_cells(data.level.mesh)]]
-
-
-def _sizes(at: np.ndarray, dim: int, cell: str) -> np.ndarray:
-    """Length, area or volume of cells."""
-    if cell in SIMPLICES:
-        return volumes(at)
-    parts = corner_simplices(at, dim)
-    # the simplices at the corners of a parallelogram are halves, of a parallelepiped sixths
-    return volumes(parts.reshape(-1, dim + 1, 3)).reshape(parts.shape[:2]).mean(axis=1) * (2 if dim == 2 else 6)
 
 
 def _bernoulli(d: np.ndarray) -> np.ndarray:

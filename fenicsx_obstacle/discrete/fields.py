@@ -6,7 +6,7 @@ import inspect
 import numbers
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import ufl
@@ -27,15 +27,14 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
+from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.parallel import agree, first_given, largest, total
 from fenicsx_obstacle.text import one_line, plain, shown
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.levels import Level
 
 EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, a \
 Table, or a dict of these by the names of cells"
@@ -266,8 +265,6 @@ class OfFunction(Field):
 
     def _elsewhere(self, level: Level, points: np.ndarray) -> np.ndarray:
         """Values at points (3, n) of the cells of another mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import values_of  # only where a Function is of another mesh
-
         comm = level.comm
         if MPI.Comm.Compare(self._mesh.comm, comm) not in (MPI.IDENT, MPI.CONGRUENT):
             raise InputError(

@@ -15,14 +15,13 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import corner_simplices, corners, own_cells
+from fenicsx_obstacle.discrete.cells import cell_volumes, corners, own_cells
 from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.halving import Grid, halvings
 from fenicsx_obstacle.discrete.parents import Name
 from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.parallel import largest
@@ -406,9 +405,6 @@ def of_mesh(
 def _largest_side(mesh: dmesh.Mesh) -> float:
     """The largest sqrt(2|T|) or (6|T|)^(1/3), of other cells than simplices |T|^(1/dim): the side of the grid, were
     this one (collective)."""
-    dim, vertices = mesh.topology.dim, corners(mesh)
-    if releases.cell_name(mesh) in SIMPLICES:
-        return largest(mesh.comm, (factorial(dim) * volumes(vertices)) ** (1 / dim))
-    parts = corner_simplices(vertices, dim)
-    sizes = volumes(parts.reshape(-1, dim + 1, 3)).reshape(parts.shape[:2]).mean(axis=1)
-    return largest(mesh.comm, (factorial(dim) * sizes) ** (1 / dim))
+    dim, volumes = mesh.topology.dim, cell_volumes(mesh)
+    of_grid = factorial(dim) if releases.cell_name(mesh) in SIMPLICES else 1  # simplices of a cell of the grid
+    return largest(mesh.comm, (of_grid * volumes) ** (1 / dim))

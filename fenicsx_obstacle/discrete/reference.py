@@ -18,7 +18,6 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import cells as simplices
 from fenicsx_obstacle.discrete.cells import corners, facet_corners
-from fenicsx_obstacle.discrete.fields import Cellwise
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 NEWTON_STEPS = 20  # to a place in a quadrilateral or hexahedron; parallelograms take one
@@ -62,7 +61,7 @@ class Reference:
         """Weights of the vertices at the nodes of a Lagrange space, shape (nodes, vertices)."""
         return self.weights(np.asarray(releases.called(space.element.interpolation_points))[:, : self.dim])
 
-    def values(self, function: Cellwise, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
+    def values(self, function: fem.Function | fem.Constant, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Values in cells, shape (cells, points), at places (cells or 1, points, vertices)."""
         if isinstance(function, fem.Constant):
             return np.full((len(cells), where.shape[1]), float(function.value))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE
+from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.discrete.time_discretization import INERTIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 
 Sums: TypeAlias = Callable[[np.ndarray], np.ndarray]  # values at owned dofs, summed over each component
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
@@ -68,9 +66,9 @@ def check_support(problem: MeshSystem) -> Support:
     hard = tuple(none if side is None else side.x.array for side, none in ((data.lower, -np.inf), (data.upper, np.inf)))
     soft = _soft_obstacles(problem)
     rest, shift = _between(comm, soft)
-    at_rest = _forces(problem, rest)
+    at_rest = problem.law.forces_at(rest)
     scale = sums(_diagonal(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
-    moved = _forces(problem, rest + shift) - at_rest
+    moved = problem.law.forces_at(rest + shift) - at_rest
     held = sums(moved) / shift
     holds = held > scale
     net = -sums(at_rest)  # the load, and what supports answer to `rest`
@@ -144,7 +142,7 @@ def _stiffness(problem: MeshSystem, soft: np.ndarray | None, side: int, sums: Su
     comm = problem.level.comm
     beyond = smallest(comm, soft) if side < 0 else largest(comm, soft)
     shift = side * (abs(beyond) or 1.0)
-    return sums(_forces(problem, beyond + 2 * shift) - _forces(problem, beyond + shift)) / shift
+    return sums(problem.law.forces_at(beyond + 2 * shift) - problem.law.forces_at(beyond + shift)) / shift
 
 
 def _refuse(
@@ -167,17 +165,6 @@ def _refuse(
             f"tension, so that round-off would determine u; {PRESCRIBE}, or use a stiffer support"
         )
     raise InputError(f"{source}{where}, and no obstacle supports it: {PRESCRIBE}")
-
-
-def _forces(problem: MeshSystem, u_values: np.ndarray | float) -> np.ndarray:
-    """a(u, .) - f at owned dofs for this u; the state is u = 0 before and after (collective)."""
-    problem.w[:] = u_values
-    problem.state.share()
-    problem.law.elastic(problem.elastic)
-    forces = problem.elastic.array_r.copy()
-    problem.w[:] = 0.0
-    problem.state.share()
-    return forces
 
 
 def _diagonal(problem: MeshSystem) -> np.ndarray:
