@@ -105,32 +105,21 @@ class BoundaryObstacle:
         return highest_above(self._pieces, linear[self._dofs], self.sign)
 
 
-class BoundaryObstacles:
-    """The sides that have obstacles, of all cells (collective)."""
+def boundary_obstacles(simplices: Simplices) -> list[tuple[float, np.ndarray, list[Field]]]:
+    """The obstacles on facets of owned cells (collective).
 
-    def __init__(self, simplices: Simplices):
-        """Find them.
-
-        Args:
-            simplices: The owned cells.
-        """
-        data = simplices.data
-        self.given: list[tuple[float, np.ndarray, list[Field]]] = []
-        if not data.thin:
-            return
-        for sign, key in ((1.0, "lower"), (-1.0, "upper")):
-            which, fields = np.full(simplices.facets.shape, -1), list[Field]()
-            for number, part in enumerate(data.model.boundary):
-                field = getattr(part, key)
-                if field is not None:
-                    which[on_sides(simplices, data.facets[number])] = len(fields)
-                    fields.append(field)
-            if fields:
-                self.given.append((sign, which, fields))
-
-    def on(self, shape: tuple[int, ...]) -> np.ndarray:
-        """Whether a side has one."""
-        found = np.zeros(shape, dtype=bool)
-        for _, which, _ in self.given:
-            found |= which >= 0
-        return found
+    Returns:
+        1 for the lower one and -1 for the upper one, if they are there; the number of its field on the side opposite to
+        each vertex, -1 where there is none, shape (cells, vertices); and its fields.
+    """
+    data, found = simplices.data, list[tuple[float, np.ndarray, list[Field]]]()
+    for sign, key in ((1.0, "lower"), (-1.0, "upper")) if data.thin else ():
+        which, fields = np.full(simplices.facets.shape, -1), list[Field]()
+        for number, part in enumerate(data.model.boundary):
+            field = getattr(part, key)
+            if field is not None:
+                which[on_sides(simplices, data.facets[number])] = len(fields)
+                fields.append(field)
+        if fields:
+            found.append((sign, which, fields))
+    return found

@@ -70,7 +70,6 @@ class DirichletData(BoundaryValues):
         """
         self.simplices, data, self._middles = simplices, simplices.data, middles
         cells, values = len(simplices.area), data.fixed[1].x.array
-        part = simplices.last_on_sides(data.held)
         self._given = [(number, one.value) for number, one in enumerate(data.model.boundary) if one.value is not None]
         comm = data.level.comm
         self._heights = max(largest(comm, np.abs(values[data.fixed[0]])), 0.0)
@@ -80,7 +79,7 @@ class DirichletData(BoundaryValues):
         self.cells, self.opposite, self._number = (np.empty(0, dtype=int) for _ in range(3))
         self._differences: list[_Difference] = []
         for number, value in self._given:
-            beside, opposite = np.nonzero(part == number)
+            beside, opposite = np.nonzero(simplices.part_of == number)
             ends = values[simplices.dofs[beside[:, None], (opposite[:, None] + [1, 2]) % 3]]
             edges = edges_of(simplices, beside, opposite)
             jumps.look(value, edges, ends)

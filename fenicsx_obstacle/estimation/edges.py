@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices
+from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
-from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.estimation.simplices import Simplices, last_on_sides
 from fenicsx_obstacle.parallel import first_given, largest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
@@ -239,23 +239,16 @@ def boundary_jump(data: Data) -> str | None:
     Args:
         data: On plane triangles.
     """
-    level = data.level
-    given = [(number, part.value) for number, part in enumerate(data.model.boundary) if part.value is not None]
-    values, topology = data.fixed[1].x.array, level.mesh.topology
-    part = np.full(topology.index_map(1).size_local + topology.index_map(1).num_ghosts, -1)
-    for number, facets in enumerate(data.held):
-        part[facets] = number  # of two parts the later one counts
-    table, dofs = cell_facets(level.mesh), releases.cell_dofs(level.V)
-    topology.create_connectivity(1, 2)
-    beside = topology.connectivity(1, 2)
-    jumps = Jumps(data, max(largest(level.comm, np.abs(values[data.fixed[0]])), 0.0))
-    for number, field in given:
-        facets = np.flatnonzero(part == number)
-        cells = np.asarray(beside.array)[np.asarray(beside.offsets)[facets]]
-        members = np.array(facet_vertices(2))[np.argmax(table[cells] == facets[:, None], axis=1)]
-        ends = np.take_along_axis(corners(level.mesh, cells), members[:, :, None], axis=1)[..., :2]
-        nodal = values[np.take_along_axis(dofs[cells], members, axis=1)]
-        jumps.look(field, Edges(ends[:, 0], ends[:, 1], cells), nodal)
+    level, (fixed, given) = data.level, data.fixed
+    values, dofs, x = given.x.array, releases.cell_dofs(level.V), corners(level.mesh)
+    part_of = last_on_sides(cell_facets(level.mesh)[: own_cells(level.mesh)], data.held)
+    jumps = Jumps(data, max(largest(level.comm, np.abs(values[fixed])), 0.0))
+    for number, part in enumerate(data.model.boundary):
+        if part.value is not None:
+            cells, side = np.nonzero(part_of == number)
+            members = np.array(facet_vertices(2))[side]
+            ends = np.moveaxis(x[cells[:, None], members, :2], 1, 0)
+            jumps.look(part.value, Edges(ends[0], ends[1], cells), values[dofs[cells[:, None], members]])
     return jumps.in_words()
 
 

@@ -23,7 +23,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
-from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, BoundaryObstacles
+from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, boundary_obstacles
 from fenicsx_obstacle.estimation.cell_data import (
     Load,
     matrix_of,
@@ -120,9 +120,9 @@ class EquilibrationP1:
         foundation = next((effect.value for effect in known if effect.role == "reaction"), None)
         self.points = PointForces(simplices, others)
         self.reaction = Reaction(simplices, foundation)
-        bearing = BoundaryObstacles(simplices)
-        self.parts = part_forces(simplices, known, simplices.held, self.points, bearing.on(simplices.facets.shape))
-        self.sides = [BoundaryObstacle(sign, self.parts, which, fields) for sign, which, fields in bearing.given]
+        obstacles = boundary_obstacles(simplices)
+        self.parts = part_forces(simplices, known, self.points, [which for _, which, _ in obstacles])
+        self.sides = [BoundaryObstacle(sign, self.parts, which, fields) for sign, which, fields in obstacles]
         stiff = self.reaction.least * simplices.area ** (2 / simplices.dim) / self.mu > STIFF
         self._stiff: np.ndarray | None = None  # whether all cells around a vertex are, at the corners
         if total(self.level.comm, np.count_nonzero(stiff)) > 0:

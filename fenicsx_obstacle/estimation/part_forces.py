@@ -185,16 +185,16 @@ class PartForces:
 
 
 def part_forces(
-    simplices: Simplices, effects: list[Effect], held: np.ndarray, points: PointForces, bearing: np.ndarray
+    simplices: Simplices, effects: list[Effect], points: PointForces, bearing: list[np.ndarray]
 ) -> PartForces:
     """The fluxes and springs among some effects, and forces at vertices (collective).
 
     Args:
         simplices: The owned cells.
         effects: Of facets with two data of the same kind the later one counts.
-        held: Whether u is given on the side opposite to each vertex, shape (cells, vertices).
         points: Forces at points.
-        bearing: Whether the side opposite to each vertex has an obstacle: it is among the facets.
+        bearing: Obstacles, as numbers of fields on the side opposite to each vertex, -1 where there is none: these
+            sides are among the facets.
     """
     data, dim = simplices.data, simplices.dim
     shape = simplices.facets.shape
@@ -210,8 +210,8 @@ def part_forces(
             which[kind][on_sides(simplices, data.facets[part])] = number
     at_vertices = np.zeros(shape)
     np.add.at(at_vertices, points.at_vertices[:2], points.at_vertices[2])
-    at_vertices[held] = 0.0
-    cells, sides = np.nonzero((which >= 0).any(axis=0) | (at_vertices != 0) | bearing)
+    at_vertices[simplices.held] = 0.0
+    cells, sides = np.nonzero((np.stack([*which, *bearing]) >= 0).any(axis=0) | (at_vertices != 0))
     corners = (sides[:, None] + np.arange(1, dim + 1)) % (dim + 1)
     x = simplices.x[cells[:, None], corners]
     outer = on_sides(simplices, data.level.boundary_facets)[cells, sides]
@@ -230,7 +230,7 @@ def part_forces(
     nodal[0] += (at_vertices[cells, sides] / share)[:, None]
     return PartForces(
         simplices, cells, sides, share, sizes(x) if dim > 1 else np.ones(len(cells)), corners,
-        nodal, tuple(pieces), ~held[cells, sides],
+        nodal, tuple(pieces), ~simplices.held[cells, sides],
         None if simplices.radius is None else simplices.radius[cells[:, None], corners],
     )  # fmt: skip
 

@@ -33,7 +33,9 @@ class Simplices:
         radius: Distance of the vertices from the axis where that is the weight of all integrals, shape (cells, d + 1);
             None where they have none.
         size: Integral of the weight over each cell; |T| without one.
-        held: Whether u is given on the side opposite to each vertex, shape (cells, d + 1).
+        part_of: The part of the boundary that gives u on the side opposite to each vertex, -1 if none does, shape
+            (cells, d + 1).
+        held: Whether one does.
         given: Whether u is given at each local dof.
         around: The cells around the vertices.
         normal: d |T| grad phi_i = the facet opposite to vertex i as a vector that points inward; by coordinates, shape
@@ -54,7 +56,8 @@ class Simplices:
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
         self.normal, self.area = inward(self.x), np.abs(signed)
         self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
-        self.held = self.last_on_sides(data.held) >= 0
+        self.part_of = last_on_sides(self.facets, data.held)
+        self.held = self.part_of >= 0
         fixed, values = data.fixed
         self.given = np.zeros(len(values.x.array), dtype=bool)
         self.given[fixed] = True
@@ -84,15 +87,7 @@ class Simplices:
 
     def on_sides(self, facets: np.ndarray) -> np.ndarray:
         """Whether the side opposite to each vertex is one of some local facets, shape (cells, d + 1)."""
-        return self.last_on_sides([facets]) == 0
-
-    def last_on_sides(self, sets: Sequence[np.ndarray]) -> np.ndarray:
-        """The number of the last set of local facets that the side opposite to each vertex is in, -1 if it is in none,
-        shape (cells, d + 1)."""
-        last = np.full(max(self.facets.max(initial=-1) + 1, 1), -1)
-        for number, facets in enumerate(sets):
-            last[facets[facets < len(last)]] = number
-        return last[self.facets]
+        return last_on_sides(self.facets, [facets]) == 0
 
     def edges(self, values: np.ndarray) -> np.ndarray:
         """Values at the edges of tetrahedra in the mesh's order, shape (cells, 6), by the two vertices in the order
@@ -154,6 +149,19 @@ class Simplices:
                 x[axis] = reduce(np.add, terms).ravel()
             found[block] = here.at(x, names, np.repeat(cells[block], where.shape[-2])).reshape(-1, where.shape[-2])
         return found
+
+
+def last_on_sides(sides: np.ndarray, sets: Sequence[np.ndarray]) -> np.ndarray:
+    """The number of the last set of local facets that each side of cells is in, -1 if it is in none.
+
+    Args:
+        sides: The facets of the cells, shape (cells, d + 1).
+        sets: Of facets: of two parts of the boundary the later one counts.
+    """
+    last = np.full(max(sides.max(initial=-1) + 1, 1), -1, dtype=np.int32)
+    for number, facets in enumerate(sets):
+        last[facets[facets < len(last)]] = number
+    return last[sides]
 
 
 def next_(values: np.ndarray) -> np.ndarray:

@@ -134,11 +134,11 @@ class SurfaceData(BoundaryValues):
     def _facets(self) -> list[_Facets]:
         """The facets of each part (local)."""
         simplices, data = self.simplices, self.simplices.data
-        part_of, found = simplices.last_on_sides(data.held), []
+        found = []
         for part, one in enumerate(data.model.boundary):
             if one.value is None:
                 continue
-            cells, opposite = np.nonzero(part_of == part)
+            cells, opposite = np.nonzero(simplices.part_of == part)
             members = np.array([[k for k in range(4) if k != a] for a in range(4)])[opposite]
             ends = [(members[:, i], members[:, j]) for i, j in SIDES]
             edges = np.stack([self._of_cells[cells, i, j] for i, j in ends], axis=1)
