@@ -15,7 +15,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, at_time
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.io.folder import NODES, fields_of
@@ -24,6 +23,7 @@ from fenicsx_obstacle.problems.vector_valued import VectorSolution
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.bodies import Body
 from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities, contact_remarks
+from fenicsx_obstacle.scenes.profiles import check_profiles
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import one_line
 

@@ -90,7 +90,7 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         if scene.tables.profile:
-            from fenicsx_obstacle.answers.profiles import check_profiles  # only where a scene names one
+            from fenicsx_obstacle.scenes.profiles import check_profiles  # only where a scene names one
 
             check_profiles(scene, level)
         self._exact: Exact | None = None

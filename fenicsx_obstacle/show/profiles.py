@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, compared, moments_of, profiles_of
+from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, moments_of, profiles_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
+from fenicsx_obstacle.scenes.profiles import compared
 from fenicsx_obstacle.scenes.report import DRAWN_OF_BODIES, check_formulas, compare_place
 from fenicsx_obstacle.show.figures import (
     ABOVE,
