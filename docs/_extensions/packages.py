@@ -3,6 +3,7 @@
 import ast
 import re
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
 
@@ -58,7 +59,7 @@ def draw_calls(file: Path) -> None:
     places = [(layers.index(call.partition(".")[0]), -row) for row, call in enumerate(calls)]
     for (x, y), call in zip(places, calls, strict=True):
         axes.text(x, y, call, va="center", fontsize=9, bbox={"facecolor": "#eef3f8", "edgecolor": "#345", "pad": 4})
-    for (x0, y0), (x1, y1) in zip(places[:-1], places[1:], strict=True):
+    for (x0, y0), (x1, y1) in pairwise(places):
         axes.annotate("", (x1 + 0.1, y1 + 0.3), (x0 + 0.1, y0 - 0.3), arrowprops={"arrowstyle": "->", "color": "#c60"})
     axes.set(xlim=(-0.05, len(layers)), ylim=(-len(calls) + 0.3, 0.6))
     axes.axis("off")
