@@ -21,7 +21,8 @@ def draw(file: Path) -> None:
     matplotlib.use("svg")
     from matplotlib import pyplot as plt
 
-    contract = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    contract = next(one for one in contracts if one["type"] == "layers")
     rows = [layer.strip() for row in contract["layers"] for layer in row.split(":")]
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True)
     texts = [fill(", ".join(_modules(layer)), 92) for layer in rows]
