@@ -176,11 +176,11 @@ def find(
     (key, ends), fixed = interval(vary), typed(given)
     scene = _read(scene_file, {**fixed, key: ends[0]})
     from fenicsx_obstacle.show.report import report_find
-    from fenicsx_obstacle.studies.find import WITHIN
+    from fenicsx_obstacle.studies.find import WITHIN, Find
 
-    folder, within = output or Path("out") / scene.name / f"find-{key}", WITHIN if within is None else within
-    run = partial(report_find, scene, {key: ends}, target, fixed, folder, within=within, fresh=fresh)
-    rows_of(run, scene.name, folder, json_file, quiet=quiet)
+    folder = output or Path("out") / scene.name / f"find-{key}"
+    search = Find(scene, {key: ends}, target, fixed, within=WITHIN if within is None else within)
+    rows_of(partial(report_find, search, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()

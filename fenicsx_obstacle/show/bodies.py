@@ -10,7 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle.show.boundary import Patch, rim
 from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank, legend_below
-from fenicsx_obstacle.show.maps import heights, pressures
+from fenicsx_obstacle.show.maps import draw_edges, heights, pressures
 from fenicsx_obstacle.show.render import EYE, FREE, OBSTACLE, axes_of_view
 from fenicsx_obstacle.show.space import draw_views
 
@@ -59,17 +59,19 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     else:
         left.tripcolor(shape, np.linalg.norm(u, axis=1), shading="gouraud", cmap=colours.cmap, norm=colours.norm)
     page.colorbar(colours, ax=left, shrink=0.85).set_label(label, fontsize=8.5)
-    _rim(left, moved, cells)
-    ours = _rows(points, nodes.points)
+    edges, ours = rim(cells), _rows(points, nodes.points)
+    draw_edges(left, moved, edges, colors="0.2", linewidths=0.9, zorder=3)
     if len(sides) == 1:
-        _obstacle(left, points, rim(cells), arrays["u"][ours, :2], ours, nodes, factor, sides[0])
+        place = _obstacle(points, u, ours, nodes, factor, sides[0])
+        known = edges[np.isfinite(place[edges]).all(axis=(1, 2))]
+        draw_edges(left, place, known, colors=OBSTACLE, linewidths=2.4, zorder=4)
     _arrows(left, moved[ours], nodes, side)
     room = 0.02 * side + (ARROW * side if whole else 0.0)
     left.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0] - room, high[0] + room),
              ylim=(low[1] - room, high[1] + room))  # fmt: skip
     grey = "; grey: obstacle" if len(sides) == 1 else ""
     left.set_title(fill(f"{_scaled(whole, factor)}; arrows: contact pressure{grey}", 58), fontsize=9)
-    _profile(upper, lower, nodes, _curves(rim(cells), ours))
+    _profile(upper, lower, nodes, _curves(edges, ours))
     return page
 
 
@@ -222,12 +224,6 @@ def _magnified(u: np.ndarray, side: float) -> float:
     return float(max(one for one in (1.0, 2.0, 5.0) if one * ten <= wanted or one == 1.0) * ten)
 
 
-def _rim(axis: Any, points: np.ndarray, cells: np.ndarray) -> None:
-    from matplotlib.collections import LineCollection
-
-    axis.add_collection(LineCollection(points[rim(cells)], colors="0.2", linewidths=0.9, zorder=3))
-
-
 def _rows(points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """The nearest of the points to each that is wanted."""
     from scipy.spatial import cKDTree
@@ -236,23 +232,14 @@ def _rows(points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def _obstacle(
-    axis: Any,
-    points: np.ndarray,
-    edges: np.ndarray,
-    u: np.ndarray,
-    ours: np.ndarray,
-    nodes: ContactTable,
-    factor: float,
-    towards: float,
-) -> None:
-    """The surface of the obstacle: where the contact boundary would be if it were moved by its gap."""
-    from matplotlib.collections import LineCollection
-
+    points: np.ndarray, u: np.ndarray, ours: np.ndarray, nodes: ContactTable, factor: float, towards: float
+) -> np.ndarray:
+    """The surface of the obstacle: where the contact boundary would be if it were moved by its gap; not-a-number
+    elsewhere."""
     place = np.full((len(points), 2), np.nan)
     known = np.where(np.isfinite(nodes.gap), nodes.gap, np.nan)
-    place[ours] = points[ours] + factor * (u + towards * known[:, None] * nodes.normals)
-    drawn = edges[np.isfinite(place[edges]).all(axis=(1, 2))]
-    axis.add_collection(LineCollection(place[drawn], colors=OBSTACLE, linewidths=2.4, zorder=4))
+    place[ours] = points[ours] + factor * (u[ours] + towards * known[:, None] * nodes.normals)
+    return place
 
 
 def _arrows(axis: Any, points: np.ndarray, nodes: ContactTable, side: float) -> None:

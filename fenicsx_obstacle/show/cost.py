@@ -43,16 +43,15 @@ def report_cost(
     Raises:
         InputError: For bad data or a folder that cannot be written.
     """
-    comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
-    study = CostStudy(scene, options, budget, folder, comm)
-    with closing(RowStore(folder, comm, fresh=fresh)) as store:
+    study = CostStudy(scene, options, budget, folder, MPI.COMM_WORLD)
+    with closing(RowStore(folder, study.comm, fresh=fresh)) as store:
         say(LINE.format(*tables.HEADS).rstrip())
         rows = study.run(lambda row: _say_row(row, say), store)
         say("")
         for line in summary(rows, study):
             say(line)
         store.write_table([row for row in rows if row["choice"] not in ("", "map")])
-        names = on_root(comm, _draw, folder, study, rows)
+        names = on_root(study.comm, _draw, folder, study, rows)
         say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', *names, page.NAME])}")
         return rows
 

@@ -74,12 +74,10 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
 
 def draw_domain(axis: Any, patch: Patch) -> None:
     """The domain in one colour, with all its boundaries as thin lines, and its frame."""
-    from matplotlib.collections import LineCollection
     from matplotlib.colors import ListedColormap
 
     axis.tripcolor(triangles(patch), np.zeros(len(patch.cells)), cmap=ListedColormap([OUT_OF_CONTACT]), zorder=0)
-    edges = patch.points[:, :2][rim(patch.cells)]
-    axis.add_collection(LineCollection(edges, colors="0.2", linewidths=0.9, zorder=3, capstyle="round"))
+    draw_edges(axis, patch.points, rim(patch.cells), colors="0.2", linewidths=0.9, zorder=3, capstyle="round")
     low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
     margin = 0.01 * max(high - low)  # for the line around the domain
     axis.set(aspect="equal", xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
@@ -87,11 +85,15 @@ def draw_domain(axis: Any, patch: Patch) -> None:
 
 def draw_lines(axis: Any, lines: Sequence[Patch]) -> None:
     """Draw free boundaries in the plane."""
+    for line in lines:
+        draw_edges(axis, line.points, line.cells, colors=INK, linewidths=1.6, zorder=4)
+
+
+def draw_edges(axis: Any, points: np.ndarray, edges: np.ndarray, **look: Any) -> Any:
+    """Draw edges in the plane, pairs of points, as a collection of matplotlib."""
     from matplotlib.collections import LineCollection
 
-    for line in lines:
-        pieces = line.points[:, :2][line.cells]
-        axis.add_collection(LineCollection(pieces, colors=INK, linewidths=1.6, zorder=4))
+    return axis.add_collection(LineCollection(points[edges][..., :2], **look))
 
 
 def triangles(patch: Patch) -> Any:
@@ -103,31 +105,28 @@ def triangles(patch: Patch) -> Any:
 
 def _press_the_rim(axis: Any, patch: Patch, scale: Any) -> None:
     """The pressure of obstacles on the boundary, as a wide line along it."""
-    from matplotlib.collections import LineCollection
-
     edges = rim(patch.cells)
-    line = LineCollection(patch.points[:, :2][edges], cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
+    line = draw_edges(axis, patch.points, edges, cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
     line.set_array(patch.fields["pressure"][edges].mean(axis=1))
-    axis.add_collection(line)
+
+
+def colours(low: float, high: float, name: str) -> Any:
+    """The colours of a colormap from one value to another."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(low, high), name)
 
 
 def heights(values: np.ndarray) -> Any:
     """Colours from the least to the greatest value."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
-    return ScalarMappable(Normalize(values.min(), values.max()), "YlGnBu")
+    return colours(values.min(), values.max(), "YlGnBu")
 
 
 def pressures(values: np.ndarray) -> Any:
     """Colours of a pressure: none is light; both signs, where there are two obstacles, go to different dark colours."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     low, high = min(values.min(), 0.0), max(values.max(), 0.0)
     if low < 0 < high:
         both = max(-low, high)
-        return ScalarMappable(Normalize(-both, both), "PuOr_r")
-    if low < 0:
-        return ScalarMappable(Normalize(low, 0.0), "YlOrRd_r")
-    return ScalarMappable(Normalize(0.0, high or 1.0), "YlOrRd")
+        return colours(-both, both, "PuOr_r")
+    return colours(low, 0.0, "YlOrRd_r") if low < 0 else colours(0.0, high or 1.0, "YlOrRd")

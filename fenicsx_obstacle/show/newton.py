@@ -54,7 +54,7 @@ def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iter
     line, whose = _free_boundary(patch)
     page, axes = figure(4.9 * len(courses), 5.6, columns=len(courses))
     panels = np.atleast_1d(axes)
-    names = [_name(method, time_history) for method, time_history in courses.items()]
+    names = [_name(method, steps) for method, steps in courses.items()]
     colours = {"in contact": KEPT, "left in this step": LEFT, "entered": ENTERED}
     legend_below(page, {label: {"facecolor": colour} for label, colour in colours.items()}, whose if line else "")
     eps = answer.record["eps"]
@@ -62,22 +62,21 @@ def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iter
     page.suptitle(title if eps is None else f"{title}, eps = {eps:.2g}", fontsize=12)
 
     def draw(frame: int) -> None:
-        for axis, name, time_history in zip(panels, names, courses.values(), strict=True):
-            _draw(axis, patch, name, time_history, min(frame, len(time_history) - 1))
+        for axis, name, steps in zip(panels, names, courses.values(), strict=True):
+            _draw(axis, patch, name, steps, min(frame, len(steps) - 1))
             draw_lines(axis, line)
 
-    count = max(len(time_history) for time_history in courses.values())
+    count = max(len(steps) for steps in courses.values())
     write_gif(page, path, PER_SECOND, [*range(count), *[count - 1] * REST], draw)
     return f"{path}: " + "; ".join(
-        f"{name}: {counted(time_history[-1].number, 'step')}"
-        for name, time_history in zip(names, courses.values(), strict=True)
+        f"{name}: {counted(steps[-1].number, 'step')}" for name, steps in zip(names, courses.values(), strict=True)
     )
 
 
-def _draw(axis: Any, patch: Patch, name: str, time_history: Sequence[Iterate], number: int) -> None:
+def _draw(axis: Any, patch: Patch, name: str, steps: Sequence[Iterate], number: int) -> None:
     """The active set of one step, and what has changed since the last."""
-    now = time_history[number]
-    before = time_history[number - 1].contact if now.number else now.contact
+    now = steps[number]
+    before = steps[number - 1].contact if now.number else now.contact
     axis.clear()
     draw_domain(axis, patch)
     shown = triangles(Patch(now.mesh["points"], now.mesh["cells"], {}))
@@ -103,9 +102,9 @@ def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:
     return free_boundary(with_levels(Patch(patch.points, patch.cells, {**fields, **exact}))), "exact free boundary"
 
 
-def _name(method: str, time_history: Sequence[Iterate]) -> str:
+def _name(method: str, steps: Sequence[Iterate]) -> str:
     if method == "successive":
         return "(3.4)*, from no contact"
     solver = {"penalty": "Newton", "vi": "SNES VI"}[method]
-    levels = len({one.dofs for one in time_history})
+    levels = len({one.dofs for one in steps})
     return f"{solver}, from {counted(levels - 1, 'coarser level')}" if levels > 1 else f"{solver}, cold"

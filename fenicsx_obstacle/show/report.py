@@ -11,8 +11,6 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from mpi4py import MPI
-
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
 from fenicsx_obstacle.io.origin import command, program
@@ -139,43 +137,25 @@ def report_study(
         InputError: For bad data or a folder that cannot be written.
         NotConverged: With PETSc's reason; the rows before it are on the disk.
     """
-    comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
-    study = Study(scene, vary, options, comm, uncertainty=uncertainty)
-    with closing(RowStore(folder, comm, fresh=fresh)) as store:
+    study = Study(scene, vary, options, uncertainty=uncertainty)
+    with closing(RowStore(folder, study.comm, fresh=fresh)) as store:
         return _report(study, store, say, latex)
 
 
-def report_find(
-    scene: Scene,
-    vary: Mapping[str, Sequence[float]],
-    target: str,
-    options: Mapping[str, Any],
-    folder: Path,
-    say: Say,
-    *,
-    within: float,
-    fresh: bool = False,
-) -> list[Row]:
+def report_find(search: Find, folder: Path, say: Say, *, fresh: bool = False) -> list[Row]:
     """Find the value of a key for a target, or go on with an interrupted search; print, save and draw (collective).
 
     Args:
-        scene: What to solve.
-        vary: The key, and the ends of the interval.
-        target: Quantity and value.
-        options: Fixed values.
+        search: The key, its interval and the target.
         folder: As for `report_study`; the last answer is the one that was found.
         say: Prints a line on rank 0.
-        within: Accuracy of the value, relative to the interval.
         fresh: Forget the rows that are there.
 
     Raises:
-        InputError: For bad data, a target that is not between the values at both ends, or a folder that cannot be
-            written.
+        InputError: For a target that is not between the values at both ends, or a folder that cannot be written.
         NotConverged: With PETSc's reason; the rows before it are on the disk.
     """
-    comm = MPI.COMM_WORLD if scene.mesh is None else scene.mesh.comm
-    search = Find(scene, vary, target, options, comm, within=within)
-    with closing(RowStore(folder, comm, fresh=fresh)) as store:
+    with closing(RowStore(folder, search.comm, fresh=fresh)) as store:
         rows = _report(search, store, say)
     words = f"{search.quantity} = {search.reached(rows[-1]):.6g}, the target is {search.target:g}"
     say(f"{search.key} = {search.found:.6g}: {words}; {counted(len(rows), 'solve')}")

@@ -24,7 +24,7 @@ from fenicsx_obstacle.show.figures import (
     terms_of,
     write_gif,
 )
-from fenicsx_obstacle.show.maps import hatch_obstacles, triangles
+from fenicsx_obstacle.show.maps import colours, draw_edges, hatch_obstacles, triangles
 from fenicsx_obstacle.text import title_of
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
@@ -89,20 +89,15 @@ def animate(answer: Answer, arrays: Arrays, path: Path) -> str:
     Returns:
         One line: what is drawn.
     """
-    time_history, (page, draw) = _course(answer), moving(answer, arrays)
-    write_gif(page, path, PER_SECOND, time_history.frames, draw)
-    return f"{path}: {len(time_history.frames)} moments"
-
-
-def moving(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
-    """A figure of the fields, and what draws one moment into it (one rank)."""
+    frames = _course(answer).frames
     page, draw = (_moving_line if arrays["cells"].shape[1] == 2 else _moving_map)(answer, arrays)
 
     def draw_moment(frame: Frame) -> None:
         draw(frame)
         page.suptitle(f"{plain(_moments(answer).name)} = {frame.t:.4g}", fontsize=11)
 
-    return page, draw_moment
+    write_gif(page, path, PER_SECOND, frames, draw_moment)
+    return f"{path}: {len(frames)} moments"
 
 
 def is_animated(answer: Answer, arrays: Arrays) -> bool:
@@ -160,46 +155,40 @@ def _lines(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequenc
 
 def _maps(page: Any, grid: Any, answer: Answer, arrays: Arrays, chosen: Sequence[Frame]) -> None:
     """u from above when the contact set is largest and at the end, contact outlined; the free boundary over time."""
-    limits, name = _range(chosen, "u"), plain(_moments(answer).name)
+    scale, name = colours(*_range(chosen, "u"), "viridis"), plain(_moments(answer).name)
     most = max(chosen, key=lambda frame: float(np.count_nonzero(frame.fields["contact"] > 0.5)))
     shown = [most, chosen[-1]] if most is not chosen[-1] else [chosen[len(chosen) // 2], most]
     for number, frame in enumerate(shown):
         axis = page.add_subplot(grid[0, 2 * number : 2 * number + 2])
-        colours = _map(axis, arrays, frame, limits)
+        _map(axis, arrays, frame, scale)
         axis.set_title(f"{name} = {frame.t:.3g}", fontsize=9)
-    page.colorbar(colours, ax=axis, label=plain(answer.scene.tables.u), shrink=0.8)
+    page.colorbar(scale, ax=axis, label=plain(answer.scene.tables.u), shrink=0.8)
     axis = page.add_subplot(grid[0, 4:])
     _free_boundaries(page, axis, arrays, _course(answer).frames, name)
 
 
 def _free_boundaries(page: Any, axis: Any, arrays: Arrays, frames: Sequence[Frame], name: str) -> None:
     """The edge of the contact set at `LINES` moments, in colours that stand for the time."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.collections import LineCollection
-    from matplotlib.colors import Normalize
-
-    scale = ScalarMappable(Normalize(frames[0].t, frames[-1].t), "plasma")
+    scale = colours(frames[0].t, frames[-1].t, "plasma")
     for number in np.unique(np.linspace(0, len(frames) - 1, LINES).round().astype(int)):
         frame = frames[number]
         patch = patch_of({**frame.fields, "points": arrays["points"], "cells": arrays["cells"]})
         for line in free_boundary(patch):
-            pieces = line.points[:, :2][line.cells]
-            axis.add_collection(LineCollection(pieces, colors=[scale.to_rgba(frame.t)], linewidths=1.2))
+            draw_edges(axis, line.points, line.cells, colors=[scale.to_rgba(frame.t)], linewidths=1.2)
     low, high = arrays["points"].min(axis=0), arrays["points"].max(axis=0)
     axis.set(aspect="equal", xlabel="x", ylabel="y", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axis.set_title("free boundary", fontsize=9)
     page.colorbar(scale, ax=axis, label=name, shrink=0.8)
 
 
-def _map(axis: Any, arrays: Arrays, frame: Frame, limits: tuple[float, float]) -> Any:
+def _map(axis: Any, arrays: Arrays, frame: Frame, scale: Any) -> None:
     """u in colours, the edge of contact as a line."""
-    surface, (low, high) = triangles(Patch(arrays["points"], arrays["cells"], {})), limits
-    colours = axis.tripcolor(surface, frame.fields["u"], shading="gouraud", vmin=low, vmax=high, cmap="viridis")
+    surface = triangles(Patch(arrays["points"], arrays["cells"], {}))
+    axis.tripcolor(surface, frame.fields["u"], shading="gouraud", norm=scale.norm, cmap=scale.cmap)
     contact = frame.fields["contact"]
     if 0 < contact.sum() < len(contact):
         axis.tricontour(surface, contact, levels=[0.5], colors="white", linewidths=1.2)
     axis.set(aspect="equal", xlabel="x", ylabel="y")
-    return colours
 
 
 def _moving_line(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
@@ -222,13 +211,12 @@ def _moving_line(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame],
 
 def _moving_map(answer: Answer, arrays: Arrays) -> tuple[Any, Callable[[Frame], None]]:
     page, axis = figure(5.6, 4.8)
-    limits, bar = _range(_course(answer).frames, "u"), list[Any]()
+    scale = colours(*_range(_course(answer).frames, "u"), "viridis")
+    page.colorbar(scale, ax=axis, label=plain(answer.scene.tables.u))
 
     def draw(frame: Frame) -> None:
         axis.clear()
-        colours = _map(axis, arrays, frame, limits)
-        if not bar:
-            bar.append(page.colorbar(colours, ax=axis, label=plain(answer.scene.tables.u)))
+        _map(axis, arrays, frame, scale)
 
     return page, draw
 
