@@ -28,8 +28,9 @@ from fenicsx_obstacle.discrete.assembly import NO_WEIGHT
 from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
-from fenicsx_obstacle.discrete.levels import Level, lagrange_degree, of_mesh
+from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.discrete.reference import lagrange_degree
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError

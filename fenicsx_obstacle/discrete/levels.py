@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from math import comb, factorial
+from math import factorial
 
 import numpy as np
 from dolfinx import fem
@@ -20,6 +20,7 @@ from fenicsx_obstacle.discrete.components import Components, components
 from fenicsx_obstacle.discrete.conformity import check_mesh
 from fenicsx_obstacle.discrete.halving import Grid, halvings
 from fenicsx_obstacle.discrete.parents import Name
+from fenicsx_obstacle.discrete.reference import lagrange_degree
 from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
@@ -292,13 +293,6 @@ def of_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray] | 
     level = of_pair(of_mesh(releases.settle(V.mesh), source, facets), pair)
     level.__dict__["V"] = V  # in place of one made on first use
     return level
-
-
-def lagrange_degree(V: fem.FunctionSpace) -> int | None:
-    """Degree, 1 or 2, of continuous Lagrange elements; None of other elements (local)."""
-    layout, dim, simplex = V.dofmap.dof_layout, V.mesh.topology.dim, releases.cell_name(V.mesh) in SIMPLICES
-    of_dofs = {comb(dim + k, k) if simplex else (k + 1) ** dim: k for k in (1, 2)}  # in a cell
-    return of_dofs.get(layout.num_dofs) if len(layout.entity_dofs(0, 0)) == 1 else None
 
 
 def _nodal_pair(cell: str, degree: int) -> Pair | None:

@@ -107,8 +107,12 @@ def values_of(
         level: The mesh in which points are looked up; by default that of u.
         parents: If it is another one, for each of its cells the cell of the mesh of u in which it lies.
     """
-    level = level or Level(u.function_space.mesh, 0.0)
+    mesh = u.function_space.mesh
+    level = level or Level(mesh, 0.0)
     rows, cells, weights = locate(level, points)
+    if parents is None and releases.geometry_degree(mesh) == 1:
+        values = Reference(mesh).values(u, cells, weights[:, None])[:, 0]
+        return mean_over_cells(level.comm, len(points), rows, values)
     x = points[rows]
     if level.mesh.topology.dim < level.mesh.geometry.dim:  # of a point beside a surface the nearest one in its cell
         x = np.einsum("pv,pvi->pi", weights, corners(level.mesh, cells))

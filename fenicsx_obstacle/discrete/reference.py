@@ -7,7 +7,7 @@ coordinates in simplices, products of such in quadrilaterals and hexahedra. All 
 from __future__ import annotations
 
 from functools import cached_property
-from math import factorial
+from math import comb, factorial
 from typing import Any
 
 import basix
@@ -45,7 +45,10 @@ class Reference:
 
     def basis(self, space: fem.FunctionSpace, where: np.ndarray) -> np.ndarray:
         """Basis functions of a scalar space at places (..., vertices), shape (..., dofs of a cell)."""
-        return _tabulated(releases.element(space), where @ self.vertices, 0)[0]
+        if lagrange_degree(space) == 1:
+            return where
+        # a basis function is 1 at its node and 0 at the others, but for round-off: values at nodes are compared
+        return np.round(_tabulated(releases.element(space), where @ self.vertices, 0)[0], 15)
 
     def slopes(self, space: fem.FunctionSpace, where: np.ndarray) -> np.ndarray:
         """Their derivatives along the axes of the reference cell, shape (..., dofs of a cell, dim)."""
@@ -140,6 +143,13 @@ class Reference:
     @cached_property
     def _corners(self) -> np.ndarray:
         return corners(self.mesh)
+
+
+def lagrange_degree(V: fem.FunctionSpace) -> int | None:
+    """Degree, 1 or 2, of continuous Lagrange elements; None of other elements (local)."""
+    layout, dim, simplex = V.dofmap.dof_layout, V.mesh.topology.dim, releases.cell_name(V.mesh) in SIMPLICES
+    of_dofs = {comb(dim + k, k) if simplex else (k + 1) ** dim: k for k in (1, 2)}  # in a cell
+    return of_dofs.get(layout.num_dofs) if len(layout.entity_dofs(0, 0)) == 1 else None
 
 
 def _linear(cell: str) -> Any:
