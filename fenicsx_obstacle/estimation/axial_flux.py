@@ -76,9 +76,7 @@ class AxialFlux:
         squares = np.empty(len(simplices.area))
 
         def fields(cells: np.ndarray | slice, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            x, out = simplices.x[cells], normal[cells] * self._inverse[cells]
-            tau = np.einsum("ci,cpx->cpx", out, points @ x) - np.einsum("ci,cix->cx", out, x)[:, None]
-            tau /= (dim * simplices.area[cells])[:, None, None]
+            tau = simplices.flux_fields(normal[cells] * self._inverse[cells], points, cells)
             return np.broadcast_to(gradient[:, cells].T[:, None], tau.shape), tau
 
         points, weights = rule(dim, 3)

@@ -13,7 +13,7 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
-from fenicsx_obstacle.estimation.edges import Jumps, edges_of
+from fenicsx_obstacle.estimation.edges import Edges, Jumps, edges_of
 from fenicsx_obstacle.estimation.pieces import Division, Group, pieces_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -95,7 +95,7 @@ class DirichletData(BoundaryValues):
             for known, group in zip(pieces.groups, groups, strict=True):
                 replaced = (group.rest < known.rest) & (known.rest > ROUND_OFF * self._heights)
                 self._sampled += np.count_nonzero(replaced)
-            self._take(groups, beside, opposite, number, ends)
+            self._take(groups, edges, opposite, number, ends)
         jumps.reject()
         self.least, self.most = (fold(comm, np.concatenate(heights)) for fold in (smallest, largest))
         self.sampled = total(comm, self._sampled) > 0
@@ -112,10 +112,9 @@ class DirichletData(BoundaryValues):
             np.add.at(self.volume_rest, cell, measure * d.rest)
         np.add.at(self.deviation, self.cells, most)  # the cones of two edges of a cell may have the same sign
 
-    def _take(
-        self, groups: list[Group], beside: np.ndarray, opposite: np.ndarray, number: int, ends: np.ndarray
-    ) -> None:
+    def _take(self, groups: list[Group], edges: Edges, opposite: np.ndarray, number: int, ends: np.ndarray) -> None:
         """Add a boundary value on the edges of its part on which it differs from its interpolant."""
+        beside, length = edges.cells, edges.lengths
         found, curved = [], np.zeros(len(beside), dtype=bool)
         for group in groups:
             degree, rows = max(group.degree, self.degree), group.rows
@@ -128,8 +127,6 @@ class DirichletData(BoundaryValues):
             exact = (group.corners is None) & (group.degree <= self.degree) & (group.rest == 0)
             curved[rows] |= ~exact & (np.abs(d).max(axis=1, initial=0.0) + group.rest > ROUND_OFF * self._heights)
         place = np.cumsum(curved) - 1 + len(self.cells)
-        start, end = self._ends(beside, opposite)
-        length = np.linalg.norm(end - start, axis=1)
         for group, degree, coefficients in found:
             kept = np.flatnonzero(curved[group.rows])
             rows, size = group.rows[kept], (group.share * length[group.rows])[kept]
@@ -145,11 +142,6 @@ class DirichletData(BoundaryValues):
         self.cells = np.append(self.cells, beside[curved])
         self.opposite = np.append(self.opposite, opposite[curved])
         self._number = np.append(self._number, np.full(np.count_nonzero(curved), number))
-
-    def _ends(self, cells: np.ndarray, opposite: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates of the ends of edges."""
-        x = self.simplices.x
-        return x[cells, (opposite + 1) % 3], x[cells, (opposite + 2) % 3]
 
     @property
     def degree(self) -> int:
@@ -188,8 +180,8 @@ class DirichletData(BoundaryValues):
     def _shapes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For each cone: length of its edge, height of its cell, and foot of the height along the edge."""
         a = self.simplices.x[self.cells, self.opposite]
-        b, c = self._ends(self.cells, self.opposite)
-        length = np.linalg.norm(c - b, axis=1)
+        edges = edges_of(self.simplices, self.cells, self.opposite)
+        b, c, length = edges.start, edges.end, edges.lengths
         return length, 2 * self.simplices.area[self.cells] / length, np.einsum("ix,ix->i", a - b, c - b) / length
 
     def on_parts(self, owner: np.ndarray, inside: np.ndarray, sign: float) -> tuple[np.ndarray, np.ndarray]:

@@ -57,6 +57,10 @@ class Edges:
     def corners(self) -> np.ndarray:
         return np.stack([self.start, self.end], axis=1)
 
+    @property
+    def lengths(self) -> np.ndarray:
+        return np.linalg.norm(self.end - self.start, axis=1)
+
 
 def edges_of(simplices: Simplices, cells: np.ndarray, opposite: np.ndarray) -> Edges:
     """The edges opposite to vertices of cells."""
@@ -181,17 +185,11 @@ class Jumps:
             ends = np.where(between, middle, low), np.where(between, middle, high)
             found.append((which[ended], ends[0][ended], ends[1][ended]))
             kept = [half & ~ended for half in halves]
-            which = np.concatenate([which[kept[0]], which[kept[1]]])
-            low, high = (
-                np.concatenate([low[kept[0]], middle[kept[1]]]),
-                np.concatenate([middle[kept[0]], high[kept[1]]]),
-            )
+            of_both = (which, which), (low, middle), (middle, high)
+            which, low, high = (np.concatenate([first[kept[0]], second[kept[1]]]) for first, second in of_both)
         found.append((which[:0], low[:0], high[:0]))
-        return (
-            np.concatenate([f[0] for f in found]),
-            np.concatenate([f[1] for f in found]),
-            np.concatenate([f[2] for f in found]),
-        )
+        which, low, high = (np.concatenate(column) for column in zip(*found, strict=True))
+        return which, low, high
 
     def _cut(self, field: Field, edges: Edges, which: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Whether a condition is undecided in part of an edge, or a value may be infinite there."""
@@ -204,7 +202,7 @@ class Jumps:
     def _finest(self, edges: Edges) -> np.ndarray:
         """The distance from a jump at which values are compared, relative to each edge."""
         size = np.abs(edges.corners).max(axis=(1, 2), initial=0.0)
-        return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
+        return np.clip(FINEST * size / edges.lengths, FINEST, 1e-3)
 
     def _values(self, field: Field, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
         x, points = np.zeros((3, len(which))), edges.at(which, t)
@@ -268,7 +266,7 @@ def cut_parts(simplices: Simplices) -> list[str]:
     extent = data.extent
     sides = "edges" if dim == 2 else "facets"
     cells, opposite = np.nonzero(simplices.on_sides(level.boundary_facets))
-    members = np.array([[k for k in range(dim + 1) if k != a] for a in range(dim + 1)])[opposite]
+    members = np.array(facet_vertices(dim))[opposite]
     x = simplices.x[cells[:, None], members]
     middle = x.mean(axis=1, keepdims=True)
     short = np.minimum(SLIVER * extent / np.linalg.norm(x - middle, axis=2).max(axis=1, initial=0.0), 0.5)

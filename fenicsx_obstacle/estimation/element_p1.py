@@ -243,9 +243,7 @@ class ElementP1(Element):
             np.divide(found, dim**2 * simplices.area[block] * mu[block], out=squares[block])
 
         def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            x, normal = simplices.x[cells], flux.normal[cells]
-            sigma = np.einsum("ci,cpx->cpx", normal, points @ x) - np.einsum("ci,cix->cx", normal, x)[:, None]
-            sigma /= (dim * simplices.area[cells])[:, None, None]
+            sigma = simplices.flux_fields(flux.normal[cells], points, cells)
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
 
         self.tension.integrate_distances(squares, fields, degree=1)

@@ -109,6 +109,20 @@ class Simplices:
             found[:, block] /= self.dim * area[block]
         return found
 
+    def flux_fields(
+        self, outward: np.ndarray, points: np.ndarray, cells: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """Functions of RT0 in cells, sum of s_j (x - x_j)/(d |T|), shape (cells, points, d).
+
+        Args:
+            outward: s_j, what flows out of each cell opposite to its vertex x_j, shape (cells, d + 1).
+            points: Barycentric coordinates of the points x, shape (cells or 1, points, d + 1).
+            cells: Which.
+        """
+        x = self.x[cells]
+        found = np.einsum("ci,cpx->cpx", outward, points @ x) - np.einsum("ci,cix->cx", outward, x)[:, None]
+        return found / (self.dim * self.area[cells])[:, None, None]
+
     def along_normals(self, vectors: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
         """Inner products of one vector per cell, shape (d, cells), with `normal`: minus the flux out of each facet."""
         normals = self.normal[:, cells]

@@ -24,7 +24,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.cells import facet_vertices, own_cells
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.around_nodes import over_ranks
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
@@ -139,7 +139,7 @@ class SurfaceData(BoundaryValues):
             if one.value is None:
                 continue
             cells, opposite = np.nonzero(simplices.part_of == part)
-            members = np.array([[k for k in range(4) if k != a] for a in range(4)])[opposite]
+            members = np.array(facet_vertices(3))[opposite]
             ends = [(members[:, i], members[:, j]) for i, j in SIDES]
             edges = np.stack([self._of_cells[cells, i, j] for i, j in ends], axis=1)
             upward = np.stack([self._upward[cells, i, j] for i, j in ends], axis=1)
