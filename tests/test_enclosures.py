@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenicsx_obstacle import Scene, polynomials
+from fenicsx_obstacle.scenes.cells import Cells
 from fenicsx_obstacle.scenes.derivative_bounds import ORDER
-from fenicsx_obstacle.scenes.enclosures import Cells
-from fenicsx_obstacle.scenes.mean_value_forms import linear
+from fenicsx_obstacle.scenes.enclosures import OnCells
 from tests.conftest import COMM, membrane
 
 SCENE = membrane(load=1).change({"mesh.cells": 1})
@@ -41,7 +41,7 @@ CORNERS = st.lists(st.floats(-2, 2).map(lambda v: round(v, 3)), min_size=6, max_
 
 
 def enclosed(text, corners, scene=SCENE):
-    return Cells(scene, np.asarray(corners, dtype=float)).once(scene.formula(text, "here"))
+    return OnCells(Cells(scene, np.asarray(corners, dtype=float)), scene.formula(text, "here")).once()
 
 
 def area(x):
@@ -208,11 +208,12 @@ def test_slopes_at_singular_points_are_infinite():
 def check_linear(text, x, seed):
     """Values at random points are as near to the linear function as its rest says, whatever conditions do, and so is
     the slope of the difference, except where values jump."""
-    formula, cells = SCENE.formula(text, "here"), Cells(SCENE, x[None])
-    found = cells.once(formula)
+    formula = SCENE.formula(text, "here")
+    cells = OnCells(Cells(SCENE, x[None]), formula)
+    found = cells.once()
     if not found.finite[0]:
         return
-    at_corners, rest, steep = linear(cells, formula)
+    at_corners, rest, steep = cells.linear(np.arange(1))
     weights = np.random.default_rng(seed).dirichlet(np.ones(3), 200)
     points = np.zeros((3, 200))
     points[:2] = (weights @ x).T
@@ -280,5 +281,5 @@ def test_smooth_transitions_cost_second_order():
         rests = []
         for h in (size, size / 2):
             formula, corners = SCENE.formula(text, "here"), h * np.array([[(-1, -1), (2, -1), (-1, 2)]])
-            rests.append(linear(Cells(SCENE, corners), formula)[1][0])
+            rests.append(OnCells(Cells(SCENE, corners), formula).linear(np.arange(1))[1][0])
         assert np.log2(rests[0] / rests[1]) == pytest.approx(rate, abs=0.15), text

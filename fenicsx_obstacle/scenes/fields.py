@@ -79,7 +79,8 @@ class FormulaField(Field):
             return margins(self.vocabulary, self.formula, x, self._known(x, names))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed:
-        from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
+        from fenicsx_obstacle.scenes.cells import Cells  # only where bounds are asked for
+        from fenicsx_obstacle.scenes.enclosures import OnCells
 
         return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)
 

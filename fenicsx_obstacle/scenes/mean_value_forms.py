@@ -10,20 +10,18 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.scenes import intervals
+from fenicsx_obstacle.scenes.cells import Cells
 from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
 from fenicsx_obstacle.scenes.tree_walk import TreeWalk, chosen
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS
 
-if TYPE_CHECKING:
-    from fenicsx_obstacle.scenes.enclosures import Cells
-
+FEW = 2000  # cells, for which walking through a formula costs more than arithmetic
 ZERO, ONE = constant(0.0), constant(1.0)
 EITHER = intervals.of_bounds(-1.0, 1.0, 0)
 UNKNOWN = intervals.of_bounds(-np.inf, np.inf, 0)
@@ -37,41 +35,56 @@ class Form:
     slopes: tuple[Enclosure, ...]  # one for each coordinate
 
 
-def linear(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def among(walk: TreeWalk, cells: np.ndarray) -> tuple[TreeWalk, np.ndarray | slice]:
+    """A walk through some of its cells, to look closely there, and their places in it: the same walk, which knows much
+    of them already, unless it has many more."""
+    if walk.cells.kept and walk.cells.count <= FEW + 4 * len(cells):
+        return walk, cells
+    return TreeWalk(walk.cells.of(cells), nearest_on), slice(None)
+
+
+def linear(walk: TreeWalk, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A linear function near a formula on each cell.
 
     Returns:
         Its values at the corners; bounds of its distance, and of the gradient of the difference.
     """
     with np.errstate(all="ignore"):
-        return _at_corners(_Forms(cells.walk).form(formula, formula.tree), cells)
+        return _at_corners(_Forms(walk).form(formula, formula.tree), walk.cells)
 
 
-def lines(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
+def lines(walk: TreeWalk, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
     """Where a condition of a formula changes in cells, in the form of `effects.field.Enclosed.cuts`; of several
     conditions the one whose zero set is closest to a line."""
+    cells = walk.cells
     found, rest = np.zeros((cells.count, cells.corners.shape[1])), np.full(cells.count, np.inf)
     with np.errstate(all="ignore"):
-        walk = cells.walk
         walk.number(formula, formula.tree)
         for number, undecided in list(walk.undecided):
-            values, away = nearest(cells, number)
+            values, away = nearest(walk, number)
             nearer = undecided & (away * np.ptp(found, axis=1) < rest * np.ptp(values, axis=1))
             nearer |= undecided & np.isinf(rest) & np.isfinite(away)
             found[nearer], rest[nearer] = values[nearer], away[nearer]
     return found, rest
 
 
-def nearest(cells: Cells, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
+def nearest_on(walk: TreeWalk, formula: Formula, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`nearest` on some of the cells."""
+    walk, places = among(walk, cells)
+    values, rest = nearest(walk, formula)
+    return values[places], rest[places]
+
+
+def nearest(walk: TreeWalk, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
     """A linear function near a formula without conditions, and bounds: by `linear`, or the interpolant if that is
     closer."""
-    values, rest, _ = linear(cells, formula)
-    x, corners = cells.corners, cells.corners.shape[1]
+    values, rest, _ = linear(walk, formula)
+    cells, x, corners = walk.cells, walk.cells.corners, walk.cells.corners.shape[1]
     if corners not in polynomials.REMAINDER:
         return values, rest
     edges = [x[:, i] - x[:, j] for i in range(corners) for j in range(i)]
     squares = np.max([(edge**2).sum(axis=1) for edge in edges], axis=0)
-    away = polynomials.REMAINDER[corners][1] * squares * cells.walk.number(formula, formula.tree).derivative(2)
+    away = polynomials.REMAINDER[corners][1] * squares * walk.number(formula, formula.tree).derivative(2)
     at_points = cells.values(formula, 1, np.arange(cells.count))
     away = away + polynomials.round_off(at_points, corners, 1)
     better = away < rest

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import TimeBounds
 from fenicsx_obstacle.scenes import derivative_bounds, intervals
-from fenicsx_obstacle.scenes.enclosures import Cells
+from fenicsx_obstacle.scenes.cells import Cells
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.tree_walk import TreeWalk
 from fenicsx_obstacle.scenes.vocabulary import TIME
@@ -36,7 +36,7 @@ def over_time(
         end: Its end.
     """
     # a "cell" is an interval of t: the coordinates are numbers in it, and derivatives are those by t
-    walk = TreeWalk(Cells(vocabulary, np.empty((x.shape[1], 0, 0))), sharp=False)
+    walk = TreeWalk(Cells(vocabulary, np.empty((x.shape[1], 0, 0))))
     fixed = dict(zip("xyz", x, strict=True))
     fixed |= {"r": np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2), "theta": np.arctan2(x[1], x[0])}
     if distance is not None:

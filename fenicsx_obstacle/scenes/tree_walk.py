@@ -11,22 +11,20 @@ decided. Where intervals do not decide and the numbers compared are polynomials,
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import reduce
 from operator import and_
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Truth
 from fenicsx_obstacle.scenes import derivative_bounds, intervals
+from fenicsx_obstacle.scenes.cells import Cells
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.scenes.enclosures import Cells
 
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
@@ -45,19 +43,21 @@ class TreeWalk:
     """One evaluation of a formula and of the definitions it uses.
 
     Attributes:
-        blurred: Where bounds would be sharper if it were a sharp one.
+        blurred: Where bounds would be sharper with `nearest`.
         undecided: Numbers whose sign was asked for, and the cells where it is not decided although no condition changes
             in them.
     """
 
-    def __init__(self, cells: Cells, *, sharp: bool = True):
+    def __init__(self, cells: Cells, nearest: Nearest | None = None):
         """Begin.
 
         Args:
             cells: Where.
-            sharp: Whether more than interval arithmetic is done where that does not tell the sign of a number.
+            nearest: Finds a linear function near a number without conditions on some of the cells, shape (cells,
+                corners), and a bound of its distance: `mean_value_forms.nearest_on`. None: nothing more than interval
+                arithmetic is done where that does not tell the sign of a number.
         """
-        self.cells, self.known, self._is_sharp = cells, dict[str, Enclosure](), sharp
+        self.cells, self.known, self._nearest = cells, dict[str, Enclosure](), nearest
         self.blurred = np.zeros(cells.count, dtype=bool)
         self.undecided: list[tuple[Formula, np.ndarray]] = []
         self._nodes: dict[int, tuple[ast.expr, Enclosure]] = {}
@@ -288,10 +288,8 @@ class TreeWalk:
             values, corners = self.cells.values(part, degree, cells), self.cells.corners.shape[1]
             least, most = polynomials.bounds(values, corners, degree)
             return values, least, most, 2 * polynomials.round_off(values, corners, degree)
-        from fenicsx_obstacle.scenes.mean_value_forms import nearest  # only where intervals do not decide
-
-        among, places = self.cells.among(cells)
-        at_corners, rest = (found[places] for found in nearest(among, part))
+        assert self._nearest is not None  # `_open` leaves no cells
+        at_corners, rest = self._nearest(self, part, cells)
         values = self.cells.values(part, 1, cells)
         return (
             values,
@@ -321,7 +319,7 @@ class TreeWalk:
         found = np.flatnonzero((low <= 0) & (high >= 0) & (low < high) & whole)
         if not len(found) or not self._can_sample(formula, node):
             return found[:0]
-        if not self._is_sharp:
+        if self._nearest is None:
             self.blurred[found] = True
             return found[:0]
         return found
@@ -330,6 +328,9 @@ class TreeWalk:
         needs = self.cells.vocabulary.needs
         unknown = self.cells.distance is None and "distance" in needs(formula)
         return not (unknown and "distance" in needs(formula.part(node)))
+
+
+Nearest = Callable[[TreeWalk, Formula, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def _size(enclosures: list[Enclosure]) -> np.ndarray:
