@@ -48,7 +48,7 @@ def nodal_gap(
         return lambda shift: box_gap(points, normals, centre + shift, obstacle.sizes, near)
     assert isinstance(heights, MeasuredField)
     if obstacle.kind == "stl":
-        return _along_one_direction(heights, comm, points, normals)
+        return _to_facets(heights, comm, points, normals)
     if points.shape[1] == 2 and not heights.along_x:
         raise InputError(f"{heights.source}: in the plane a table has the columns x, z alone")
 
@@ -57,20 +57,6 @@ def nodal_gap(
             return table_gap(heights, points, normals, shift)
 
     return of_table
-
-
-def _along_one_direction(
-    surface: MeasuredField, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray
-) -> Callable[[np.ndarray], np.ndarray]:
-    """The gap to an STL surface, along the one direction of all nodes."""
-    direction = next(one[0] for one in comm.allgather(normals[:1]) if len(one))
-    if largest(comm, np.abs(normals - direction)) > ONE:
-        raise InputError(
-            f"{surface.source}: the boundary of the body is curved; give 'along', the direction of the gap"
-        )
-    assert surface.facets is not None
-    facing = FacetsAlong(surface.facets, direction, surface.source)
-    return lambda shift: facing.gap(points - shift)
 
 
 def box_gap(
@@ -127,38 +113,35 @@ def table_gap(heights: MeasuredField, points: np.ndarray, normals: np.ndarray, s
     )
 
 
-class FacetsAlong:
-    """The facets of an STL surface that face a body, seen along one direction."""
+def _to_facets(
+    surface: MeasuredField, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The gap to the facets of an STL surface that face a body, seen along the one direction of all nodes.
 
-    def __init__(self, facets: np.ndarray, direction: np.ndarray, source: str):
-        """Sort them.
+    Corners of facets are counter-clockwise when seen from outside the obstacle.
+    """
+    direction = next(one[0] for one in comm.allgather(normals[:1]) if len(one))  # from the body to the obstacle
+    if largest(comm, np.abs(normals - direction)) > ONE:
+        raise InputError(
+            f"{surface.source}: the boundary of the body is curved; give 'along', the direction of the gap"
+        )
+    assert surface.facets is not None
+    facets, across = surface.facets, null_space(direction[None])
+    outward = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
+    volume = np.sum(facets[:, 0] * np.cross(facets[:, 1], facets[:, 2])) / 6
+    closed = np.linalg.norm(outward.sum(axis=0)) < CLOSED * np.linalg.norm(outward, axis=1).sum()
+    inside_out = closed and volume < 0
+    corners = facets[(outward @ direction < 0) & (not inside_out)].reshape(-1, 3)
+    try:
+        nearest = Triangulated(corners @ across, -corners @ direction, np.arange(len(corners)).reshape(-1, 3))
+    except ValueError:
+        raise InputError(
+            f"{surface.source}: no facet faces the body along n = [{', '.join(f'{x:g}' for x in direction)}]; the "
+            "normals of an STL surface must point out of the obstacle"
+        ) from None
 
-        Args:
-            facets: Corners, shape (m, 3, 3), counter-clockwise when seen from outside the obstacle.
-            direction: n, a unit vector from the body to the obstacle.
-            source: Where they are given, for messages.
-
-        Raises:
-            InputError: If no facet faces the body.
-        """
-        self._direction, self._across = direction, null_space(direction[None])
-        outward = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
-        volume = np.sum(facets[:, 0] * np.cross(facets[:, 1], facets[:, 2])) / 6
-        closed = np.linalg.norm(outward.sum(axis=0)) < CLOSED * np.linalg.norm(outward, axis=1).sum()
-        inside_out = closed and volume < 0
-        facing = facets[(outward @ direction < 0) & (not inside_out)]
-        points = facing.reshape(-1, 3)
-        try:
-            self._nearest = Triangulated(
-                points @ self._across, -points @ direction, np.arange(len(points)).reshape(-1, 3)
-            )
-        except ValueError:
-            raise InputError(
-                f"{source}: no facet faces the body along n = [{', '.join(f'{x:g}' for x in direction)}]; the normals "
-                "of an STL surface must point out of the obstacle"
-            ) from None
-
-    def gap(self, points: np.ndarray) -> np.ndarray:
-        """Gaps at points, shape (n, 3), to the first facet that faces them."""
-        found = -self._nearest.at(points @ self._across) - points @ self._direction
+    def to_nearest(shift: np.ndarray) -> np.ndarray:
+        found = -nearest.at((points - shift) @ across) - (points - shift) @ direction
         return np.where(np.isnan(found), np.inf, found)
+
+    return to_nearest
