@@ -358,6 +358,6 @@ def demo(output: Path) -> None:
 
 
 def _read(place: str, options: dict[str, Any]) -> Any:
-    from fenicsx_obstacle.answers.changes import read
+    from fenicsx_obstacle.answers.changes import changed
 
-    return read(place, options)
+    return changed(place, options)

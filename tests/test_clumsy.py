@@ -13,7 +13,7 @@ import pytest
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
-from fenicsx_obstacle.answers.changes import read
+from fenicsx_obstacle.answers.changes import changed
 from fenicsx_obstacle.console import tolerance_status
 from fenicsx_obstacle.errors import NOT_REACHED
 from fenicsx_obstacle.parallel import on_root, write_text
@@ -146,13 +146,13 @@ def test_options_give_what_a_scene_lacks(folder):
     file = folder / "scene.toml"
     on_root(COMM, write_text, file, INCOMPLETE)
     given = {"effects.tension": 1, "define.q": 3}
-    scene = read(str(file), {**given, "boundary.0.value": 0.1, "boundary.1.flux": 2, "boundary.1.on": "left"})
+    scene = changed(str(file), {**given, "boundary.0.value": 0.1, "boundary.1.flux": 2, "boundary.1.on": "left"})
     assert scene.tables.boundary[0].value == 0.1
     assert scene.tables.boundary[1].flux == 2
-    assert read(str(file), {**given, "obstacle.lower": -1, "cells": 2, "report.f": "integral(u)"}).sides == ["lower"]
-    changed = Scene.read(DEMOS / "disk.toml").change({"boundary.0.value": 0.0})
-    assert changed.tables.boundary[0].value == 0.0
-    assert changed.change({"mesh.x.1": 2}).tables.mesh.x == ("-sqrt(0.5)", 2)
+    assert changed(str(file), {**given, "obstacle.lower": -1, "cells": 2, "report.f": "integral(u)"}).sides == ["lower"]
+    other = Scene.read(DEMOS / "disk.toml").change({"boundary.0.value": 0.0})
+    assert other.tables.boundary[0].value == 0.0
+    assert other.change({"mesh.x.1": 2}).tables.mesh.x == ("-sqrt(0.5)", 2)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_options_that_fit_nowhere(options, says, folder):
     file = folder / "scene.toml"
     on_root(COMM, write_text, file, INCOMPLETE)
     with pytest.raises(InputError, match=re.escape(says)):
-        read(str(file), options)
+        changed(str(file), options)
 
 
 def test_a_tolerance_that_the_budget_does_not_allow():

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.adapt import Adaptation, with_outputs
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
+from fenicsx_obstacle.answers.changes import SCENE, changed
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
@@ -70,7 +70,7 @@ def solve(
         NotConverged: If a solver fails, with PETSc's reason.
     """
     given = {"eps": eps, "cells": cells, "refine": refine, "method": method, "start": start, "element": element}
-    scene, limits = changed(scene_of(scene), given), Budget.of(budget)
+    scene, limits = changed(scene, given), Budget.of(budget)
     if scene.model.vector_valued:
         from fenicsx_obstacle.answers.bodies import BodyContext  # only where a scene has an elastic body
 

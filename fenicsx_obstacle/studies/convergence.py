@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.changes import SCENE, changed, scene_of
+from fenicsx_obstacle.answers.changes import SCENE, changed
 from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.validation import check_record
@@ -59,7 +59,7 @@ def study(
     """
     if not vary:
         raise InputError('study: vary = {}: name a key and its values, as in {"cells": [16, 32]}; one solve is solve()')
-    return [flat(row) for row in Study(scene_of(scene), vary, options, comm, uncertainty=uncertainty).run()]
+    return [flat(row) for row in Study(changed(scene), vary, options, comm, uncertainty=uncertainty).run()]
 
 
 class Study:
@@ -103,7 +103,7 @@ class Study:
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self._solves = Solves(self.comm)
         self.store: RowStore | None = None
-        self._base = changed(scene, dict(options))
+        self._base = changed(scene, options)
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
         self.points = [(combination, self.scene(combination)) for combination in combinations]
         self.last = self.points[-1][1]
@@ -142,7 +142,7 @@ class Study:
         Raises:
             InputError: If one does not fit its key.
         """
-        return changed(self._base, dict(combination))
+        return changed(self._base, combination)
 
     def solve(self, combination: Mapping[str, Any], scene: Scene) -> Answer:
         """The answer of a scene with these values of the keys (collective)."""

@@ -68,7 +68,7 @@ class CostStudy:
         Raises:
             InputError: If an option does not fit.
         """
-        self.full = changed(scene, dict(options))
+        self.full = changed(scene, options)
         self.full.only_scalar("the cost of accuracy")
         self.comm = self.full.mesh.comm if self.full.mesh is not None else comm
         # the errors of a known solution take time that does not belong to the solver

@@ -11,7 +11,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.changes import SCENE, scene_of
+from fenicsx_obstacle.answers.changes import SCENE, changed
 from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
@@ -59,7 +59,7 @@ def find(
         InputError: If the data are invalid, or the target is not between the values at both ends.
         NotConverged: With PETSc's reason.
     """
-    return [flat(row) for row in Find(scene_of(scene), vary, target, options, comm, within=within).run()]
+    return [flat(row) for row in Find(changed(scene), vary, target, options, comm, within=within).run()]
 
 
 class Find(Study):
