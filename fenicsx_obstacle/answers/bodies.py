@@ -16,6 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, at_time
+from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.io.folder import NODES, fields_of
 from fenicsx_obstacle.problems.solution import Files
@@ -73,24 +74,20 @@ class BodyContext:
 
     Attributes:
         scene: What is solved.
-        options: Those of the scene, or given instead.
         body: The problem on the mesh.
     """
 
     exact = None
 
-    def __init__(
-        self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, level: Any = None, options: SolverOptions | None = None
-    ):
+    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, level: Level | None = None):
         """Assemble (collective).
 
         Args:
             scene: What to solve.
             comm: Communicator; not used if the scene has a DOLFINx mesh.
             level: The scene's mesh, where it is made already.
-            options: Of the solves, instead of those of the scene.
         """
-        self.scene, self.options, started = scene, options or scene.options, time.perf_counter()
+        self.scene, started = scene, time.perf_counter()
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
         self.mesh_seconds = time.perf_counter() - started
@@ -116,13 +113,13 @@ class BodyContext:
         """Solve, from the last solution of the ObstacleProblem (collective).
 
         Args:
-            options: How; by default as the context was made for.
+            options: How; by default as the scene says.
 
         Raises:
             InputError: For a bad eps, or displacements that are not small.
             NotConverged: With PETSc's reason.
         """
-        scene, body, options = self.scene, self.body, options or self.options
+        scene, body, options = self.scene, self.body, options or self.scene.options
         start = time.perf_counter()
         if scene.time is None:
             solution, history, totals = body.solve(options), None, dict[str, Any]()

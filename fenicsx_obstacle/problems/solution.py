@@ -255,14 +255,17 @@ class Solution:
         Raises:
             InputError: As `at`.
         """
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        return Profile(points, s, **self._quantities(points))
+
+    def _quantities(self, points: np.ndarray) -> dict[str, Any]:
+        """The values of a profile at points, by name (collective)."""
         values: dict[str, Any] = {name: self.at(points, name) for name in ("u", "pressure", "slope")}
         free = self.lower is None and self.upper is None
         values["gap"] = np.full(len(points), np.inf) if free else self.at(points, "gap")
-        flux = None
         with suppress(InputError):  # the points are right, so that it is the tension that is not known
-            flux = self.at(points, "flux")
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return Profile(points, s, **values, flux=flux)
+            values["flux"] = self.at(points, "flux")
+        return values
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         """Values at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective).

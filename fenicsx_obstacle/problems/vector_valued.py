@@ -28,7 +28,7 @@ from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
 from fenicsx_obstacle.problems.solution import PARTITION, Solution
-from fenicsx_obstacle.problems.values import Force, Profile
+from fenicsx_obstacle.problems.values import Force
 from fenicsx_obstacle.text import nearest, shown
 
 SAME = 1e-9  # of the size of the contact set: coordinates that differ by round-off
@@ -163,19 +163,9 @@ class VectorSolution(Solution):
         sides = super().force
         return VectorForce(sides.lower, sides.upper, self.nodes.resultant, self.nodes.moment())
 
-    def on(self, points: np.ndarray) -> Profile:
-        """All quantities at points that follow each other on a curve (collective).
-
-        Args:
-            points: Shape (n, gdim), the same on every rank.
-
-        Raises:
-            InputError: As `at`.
-        """
+    def _quantities(self, points: np.ndarray) -> dict[str, Any]:
         names = ("u", "pressure", "gap", *(("von_mises",) if self.von_mises is not None else ()))
-        values: dict[str, Any] = {name: self.at(points, name) for name in names}
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return Profile(points, s, **values)
+        return {name: self.at(points, name) for name in names}
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         if of != "gap":
