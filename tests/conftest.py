@@ -31,6 +31,7 @@ from mpi4py import MPI  # noqa: E402
 from petsc4py import PETSc  # noqa: E402
 
 from fenicsx_obstacle import Scene, releases  # noqa: E402
+from fenicsx_obstacle.show import render  # noqa: E402
 
 COMM = MPI.COMM_WORLD
 HOOKS = COMM.Dup()  # the tests' own collective calls must not meet those of the hooks
@@ -48,6 +49,7 @@ def pytest_configure(config: pytest.Config) -> None:
         "markers", "serial: runs on one rank only: it starts processes, has no mesh or needs all scenes"
     )
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
+    config.addinivalue_line("markers", "ranks: each of its cases runs on several ranks, in place of the first and last")
     config.addinivalue_line("markers", "variant: a case beside the quick ones; runs on one rank, and where it is named")
 
 
@@ -61,7 +63,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--by-file", action="store_true",
-        help="The tests of those files whose name belongs to this number of ranks, without variants.",
+        help="The tests of those files whose name belongs to this number of ranks, of many cases the first and last.",
     )  # fmt: skip
 
 
@@ -70,12 +72,22 @@ def ranks_of(file: Path) -> int:
     return 3 if crc32(file.name.encode()) % 3 == 0 else 2
 
 
+def first_and_last(items: list[pytest.Item]) -> set[pytest.Item]:
+    """Of each test with several cases these two, unless ranks are its subject."""
+    cases: dict[tuple[Path, str], list[pytest.Item]] = {}
+    for item in items:
+        cases.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
+    return {one for some in cases.values() for one in (some if "ranks" in some[0].keywords else (some[0], some[-1]))}
+
+
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--by-file"):
-        left_out = {item for item in items if ranks_of(item.path) != COMM.size or "variant" in item.keywords}
-        config.hook.pytest_deselected(items=list(left_out))
-        items[:] = [item for item in items if item not in left_out]
+        kept = first_and_last([
+            item for item in items if ranks_of(item.path) == COMM.size and "variant" not in item.keywords
+        ])  # fmt: skip
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = [item for item in items if item in kept]
     if COMM.size > 1:
         kept = [item for item in items if "serial" not in item.keywords]
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
@@ -131,6 +143,12 @@ def _wait_for_all(item: pytest.Item, message: str | None) -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A new folder, the same on all ranks."""
     return COMM.bcast(tmp_path_factory.mktemp("folder") if COMM.rank == 0 else None)
+
+
+@pytest.fixture
+def matplotlib_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Views in space are drawn by matplotlib: the process in which pyvista draws takes seconds to begin."""
+    monkeypatch.setattr(render, "find_spec", lambda name: None)
 
 
 @pytest.fixture

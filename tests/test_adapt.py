@@ -147,6 +147,7 @@ def test_the_same_on_all_ranks():
 @pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.parametrize("dim", (1, 2, 3))
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_picture_of_the_bound(tmp_path, dim):
     """It shows where the bound comes from, and says how many cells carry half of it, in one to three dimensions."""
     from fenicsx_obstacle.show.report import report_answer

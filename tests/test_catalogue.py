@@ -14,7 +14,7 @@ from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
-from tests.test_cli import run
+from tests.test_cli import inside, run
 from tests.theory.statement import RATE_MARGIN, slope
 
 STEP = 3e-4  # of differences
@@ -267,11 +267,11 @@ def test_nearest_name():
 @pytest.mark.slow
 def test_command(tmp_path):
     """A list, a scene as its file has it, and a solve of either."""
-    listed, printed = run("scenes").stdout, run("scenes", "cone", ranks=2).stdout
+    listed, printed = inside("scenes").stdout, run("scenes", "cone", ranks=2).stdout
     assert all(f"\n{name} " in listed for name in catalogue.names())
     assert printed == catalogue.text("cone")
     (tmp_path / "mine.toml").write_text(printed)
-    mine, theirs = (run("solve", place, "--cells", 16, cwd=tmp_path) for place in ("mine.toml", "cone"))
+    mine, theirs = (inside("solve", place, "--cells", 16, cwd=tmp_path) for place in ("mine.toml", "cone"))
     assert mine.returncode == theirs.returncode == 0, mine.stderr + theirs.stderr
     assert "pressure_l2" in theirs.stdout and (tmp_path / "out" / "cone" / "answer.json").exists()
     assert mine.stdout.splitlines()[3] == theirs.stdout.splitlines()[3]

@@ -1,17 +1,22 @@
 """The command line as users meet it: in processes of its own, on 1, 2 and 3 ranks."""
 
+import io
 import json
 import os
 import subprocess
 import sys
 import time
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import InputError
+from fenicsx_obstacle import InputError, __main__, releases
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.launcher import mpirun
+from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, DEMOS, slow_except
 
 pytestmark = pytest.mark.serial
@@ -24,20 +29,33 @@ def run(*arguments, ranks=1, cwd=None, env=None):
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env or CLEAN, timeout=250, check=False)
 
 
+def inside(*arguments, cwd=None):
+    """What `run` returns, of a command in this process, which draws by matplotlib: others take seconds to begin."""
+    out, err = io.StringIO(), io.StringIO()
+    words = [str(word) for word in arguments]
+    with pytest.MonkeyPatch.context() as patched, chdir(cwd or Path.cwd()), redirect_stdout(out), redirect_stderr(err):
+        patched.setattr(sys, "argv", ["fenicsx-obstacle", *words])
+        patched.setattr(__main__, "_begin", lambda petsc: None)  # which changes how this process takes signals
+        patched.setattr(render, "find_spec", lambda name: None)
+        status = __main__._run(words, [])
+    return subprocess.CompletedProcess(words, status, out.getvalue(), err.getvalue())
+
+
 FIGURES = ["energy", "penetration", "dofs", "cells_total"]
 
 
 @pytest.mark.parametrize(
     ("name", "method"),
-    slow_except([("string", "vi"), ("disk", "penalty"), ("ball", "vi"), ("two_sided", "penalty")], ("ball", "vi")),
+    slow_except([("ball", "vi"), ("two_sided", "penalty")], ("ball", "vi")),
 )
 def test_same_figures_on_all_ranks(name, method, tmp_path):
     """1, 2 and 3 ranks agree to 1e-9 in energy, errors, contact area and force, and in Newton steps to one."""
     records = []
     for ranks in (1, 2, 3):
         file = tmp_path / f"{ranks}.json"
-        done = run("solve", DEMOS / f"{name}.toml", "--method", method, "--eps", "1e-7", "--json", file,
-                   "--output", tmp_path / "out", ranks=ranks)  # fmt: skip
+        start = inside if ranks == 1 else partial(run, ranks=ranks)
+        done = start("solve", DEMOS / f"{name}.toml", "--method", method, "--eps", "1e-7", "--json", file,
+                     "--output", tmp_path / "out")  # fmt: skip
         assert done.returncode == 0, done.stderr
         records.append(json.loads(file.read_text()))
     for record in records[1:]:
@@ -59,12 +77,12 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("saved in") == 1
     assert not (tmp_path / "disk" / "answer.png").exists()  # a picture takes longer than the solve: on demand
-    assert run("plot", tmp_path / "disk").returncode == 0
+    assert inside("plot", tmp_path / "disk").returncode == 0
     assert (tmp_path / "disk" / "answer.png").exists()
     assert "<img" in (tmp_path / "disk" / "report.html").read_text()
-    assert run("plot", tmp_path / "disk", "--output", tmp_path / "p.pdf").returncode == 0
+    assert inside("plot", tmp_path / "disk", "--output", tmp_path / "p.pdf").returncode == 0
     assert (tmp_path / "p.pdf").read_bytes().startswith(b"%PDF")
-    refused = run("plot", tmp_path / "disk", "--output", tmp_path / "p.doc")
+    refused = inside("plot", tmp_path / "disk", "--output", tmp_path / "p.doc")
     assert refused.returncode == 2
     assert "pictures are written as .png, .pdf, .svg" in refused.stderr
     again = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", "--plot", ranks=2)
@@ -74,20 +92,10 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
 
 @pytest.mark.parametrize("ranks", slow_except([1, 2], 1))
 def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
+    """Before anything is imported, before MPI is used, and once the mesh is there."""
     (tmp_path / "bad.toml").write_text('[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = "x - 1/2"\n')
-    disk = DEMOS / "disk.toml"
-    mistakes = [
-        ["solve", tmp_path / "bad.toml"],
-        ["solve", tmp_path / "none.toml"],
-        ["solve", disk, "--eps", "0"],
-        ["solve", disk, "--cells", "0"],
-        ["solve", disk, "--cels", "3"],
-        ["study", disk, "--vary", "cels=1,2"],
-        ["study", disk, "--vary", "cells"],
-        ["slove"],
-    ]
     before = sorted(tmp_path.iterdir())
-    for arguments in mistakes:
+    for arguments in (["slove"], ["solve", "none.toml"], ["solve", "bad.toml"]):
         done = run(*arguments, ranks=ranks, cwd=tmp_path)
         assert done.returncode == 2, (arguments, done.stderr)
         assert done.stderr.count("Error: ") == 1, done.stderr
@@ -145,53 +153,33 @@ def test_json_on_standard_output_is_nothing_else(tmp_path):
 
 @pytest.mark.slow
 def test_nothing_compiles_twice(tmp_path):
-    """An eps-ladder compiles each form once, on all ranks; a warm start compiles none."""
-    env = {**CLEAN, "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    ladder = ["study", DEMOS / "disk.toml", "--cells", "8", "--vary", "eps=1e-1..1e-4", "--output", tmp_path / "out"]
-    short = ["study", DEMOS / "disk.toml", "--cells", "8", "--vary", "eps=1e-1", "--output", tmp_path / "out"]
+    """An eps-ladder compiles each form once, on all ranks; a warm start compiles none. A source without its library,
+    left by kill -9, is removed and compiled again."""
+    env, cache = {**CLEAN, "XDG_CACHE_HOME": str(tmp_path / "cache")}, tmp_path / "cache"
+    study = ["study", DEMOS / "string.toml", "--cells", "8", "--output", tmp_path / "out", "--vary"]
     counts = []
-    for arguments, ranks in ((short, 1), (ladder, 1), (ladder, 2)):
-        done = run(*arguments, ranks=ranks, env=env)
+    for values, ranks in (("eps=1e-1", 1), ("eps=1e-1..1e-4", 2), ("eps=1e-1..1e-5", 1)):
+        if counts and ranks == 1:
+            victim = max(cache.rglob("libffcx_forms_*.c"))
+            for file in victim.parent.glob(victim.stem + "*"):
+                file.unlink()
+            victim.write_text("int unfinished")
+            old = time.time() - 5 * releases.JIT_WAIT
+            os.utime(victim, (old, old))
+        done = run(*study, values, ranks=ranks, env=env)
         assert done.returncode == 0, done.stderr
-        counts.append(len(list((tmp_path / "cache").rglob("*.c"))))
+        counts.append(len(list(cache.rglob("*.c.cached"))))
     assert counts[0] > 0
     assert counts == [counts[0]] * 3
 
 
 @pytest.mark.slow
-def test_killed_while_compiling_does_not_block_the_next_run(tmp_path):
-    """A source without its library, left by kill -9, is removed and compiled again."""
-    from fenicsx_obstacle import releases
-
-    env = {**CLEAN, "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    arguments = ["solve", DEMOS / "string.toml", "--output", tmp_path / "out"]
-    assert run(*arguments, env=env).returncode == 0
-    victim = max((tmp_path / "cache").rglob("libffcx_forms_*.c"))
-    for file in victim.parent.glob(victim.stem + "*"):
-        file.unlink()
-    victim.write_text("int unfinished")
-    old = time.time() - 5 * releases.JIT_WAIT
-    os.utime(victim, (old, old))
-    done = run(*arguments, env=env)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", slow_except(["disk", "ball", "two_sided", "string"], "disk"))
+@pytest.mark.parametrize("name", slow_except(["disk", "string"], "disk"))
 def test_explain(name):
-    done = run("explain", DEMOS / f"{name}.toml")
+    done = inside("explain", DEMOS / f"{name}.toml")
     assert done.returncode == 0
     for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "not included"):
         assert word in done.stdout
-
-
-@pytest.mark.slow
-def test_one_added_line(tmp_path):
-    """The demo for somebody else's code runs as it stands, under plain mpirun."""
-    command = [*mpirun(2), sys.executable, str(DEMOS / "one_added_line.py")]
-    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, cwd=tmp_path, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "membrane: SNES reason 3, force on the ball 4.27" in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -232,19 +220,14 @@ def test_60_lines_become_3():
 def test_compare_and_free_boundary(tmp_path):
     """Two saved results on different meshes; the free boundary of the ball is the circle r = 0.698 to within h."""
     for cells in (32, 64):
-        assert (
-            run(
-                "solve", DEMOS / "ball.toml", "--cells", cells, "--method", "vi", "--output", tmp_path / str(cells)
-            ).returncode
-            == 0
-        )
+        solved = inside("solve", "ball", "--cells", cells, "--method", "vi", "--output", tmp_path / str(cells))
+        assert solved.returncode == 0
     done = run("compare", tmp_path / "32", tmp_path / "64", "--json", tmp_path / "c.json", ranks=2)
     assert done.returncode == 0, done.stderr
     assert "Jaccard" in done.stdout
     assert json.loads((tmp_path / "c.json").read_text())["u"]["l2"] < 0.01
     line = np.loadtxt(tmp_path / "64" / "free_boundary.csv", delimiter=",", skiprows=1)
     assert np.abs(np.hypot(line[:, 0], line[:, 1]) - 0.697965148223374).max() < 2 * 4 / 64
-    assert run("compare", tmp_path / "32", tmp_path / "nothing").returncode == 2
 
 
 @pytest.mark.slow
@@ -252,13 +235,9 @@ def test_files_of_others_stay(tmp_path):
     """A result never removes what it did not write, and a bad folder is refused before anything is computed."""
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years")
-    assert run("solve", DEMOS / "string.toml", "--output", tmp_path / "out").returncode == 0
+    assert inside("solve", DEMOS / "string.toml", "--output", tmp_path / "out").returncode == 0
     assert (tmp_path / "out" / "thesis.tex").read_text() == "years"
     assert not [name for name in os.listdir(tmp_path / "out") if name.startswith(".")]
-    refused = run("solve", DEMOS / "string.toml", "--output", tmp_path / "out" / "thesis.tex")
+    refused = inside("solve", DEMOS / "string.toml", "--output", tmp_path / "out" / "thesis.tex")
     assert refused.returncode == 2
     assert "is a file" in refused.stderr
-    options = run("solve", DEMOS / "string.toml", "--output", tmp_path / "o", "--", "-penalty_ksp_type", "nonsense")
-    assert options.returncode == 2
-    assert "PETSc" in options.stderr
-    assert "Traceback" not in options.stderr

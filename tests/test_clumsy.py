@@ -54,6 +54,7 @@ TITLES = {
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("matplotlib_draws")
 @pytest.mark.parametrize("name", slow_except(TITLES, *list(TITLES)[:2]))
 def test_titles_are_drawn_and_printed_in_one_line(name, folder):
     """Any title and name of u: a picture, a page without its markup, a first line without control characters."""
@@ -70,6 +71,7 @@ def test_titles_are_drawn_and_printed_in_one_line(name, folder):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_values_that_cannot_be_drawn(folder):
     """Heights near the largest number are saved, and their picture is refused in one sentence."""
     scene = Scene(mesh={"shape": "rectangle", "cells": 2}, tension=1, load=-1, boundary=[{"value": 1e300}])

@@ -17,7 +17,7 @@ from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
 from tests.conftest import CLEAN, COMM, DEMOS, membrane
-from tests.test_cli import run
+from tests.test_cli import inside
 from tests.test_rows import kill
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
@@ -196,7 +196,7 @@ def test_killed_and_page(tmp_path):
     kept = [
         json.loads(text)["key"] for text in rows.read_bytes().decode().splitlines(keepends=True) if text[-1] == "\n"
     ]
-    done = run(*words)
+    done = inside(*words)
     assert done.returncode == 0, done.stderr
     keys = [json.loads(text)["key"] for text in rows.read_text().splitlines()]
     assert keys[: len(kept)] == kept and len(set(keys)) == len(keys) > len(kept)

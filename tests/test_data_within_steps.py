@@ -95,8 +95,7 @@ def test_data_that_cause_no_shorter_steps():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["", " + 0*x"])  # the same number everywhere, or one at each node
-@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("sign", "place"), [(-1, ""), (1, " + 0*x")])  # the same number, or one at each node
 def test_obstacles_that_u_does_not_reach(sign, place):
     """They cause no shorter steps, on either side of u; those that touch u do."""
     for nearest, touches in ((0.15, False), (0.05, True)):  # u is 0.1 in the middle
@@ -132,7 +131,9 @@ def test_callables_are_sampled(dt):
     "data",
     [
         {"boundary": [{"value": "0.1*sin(1e12*t)"}]},
-        {"lower": "-0.2 + 0.1*sin(1e12*t)", "load": -9, "start": "-0.4*x*(1 - x)"},
+        pytest.param(
+            {"lower": "-0.2 + 0.1*sin(1e12*t)", "load": -9, "start": "-0.4*x*(1 - x)"}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_change_that_is_too_short(data):

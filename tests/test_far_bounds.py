@@ -13,7 +13,7 @@ from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, r
 from fenicsx_obstacle.parallel import largest, smallest, total
 from tests.conftest import COMM, slow_except
 
-FAR = slow_except([1e3, 1e6, 1e12, 1e16, 1e20, 1e30, float(PETSc.INFINITY), np.inf], 1e12, np.inf)
+FAR = [1e3, 1e6, 1e12, 1e16, 1e20, 1e30, float(PETSc.INFINITY), np.inf] if COMM.size == 1 else [1e12, np.inf]
 CELLS = {"P1": ("triangle", 1), "P2": ("triangle", 2), "Q1": ("quadrilateral", 1), "Q2": ("quadrilateral", 2)}
 
 
@@ -41,13 +41,13 @@ class Plate:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("far", FAR)
+@pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
 @pytest.mark.parametrize("element", CELLS)
-def test_its_value_changes_nothing(element, far):
+def test_its_value_changes_nothing(element, method):
     """Force, steps and boundary values are those with a bound just out of reach."""
     own = Plate(element)
-    for method in ("penalty", "vi", "successive"):
-        near, found = (own.solve(own.over(one), method) for one in (10.0, far))
+    near, *others = (own.solve(own.over(one), method) for one in (10.0, *FAR))
+    for found in others:
         assert found.force.lower == pytest.approx(near.force.lower, rel=1e-9)
         assert largest(COMM, np.abs(found.u.x.array - near.u.x.array)) < 1e-11
         assert found.iterations == near.iterations
@@ -62,33 +62,36 @@ def test_pressures_keep_their_digits(eps):
     assert largest(COMM, np.abs(found.pressure.x.array - near.pressure.x.array)) < 1e-8 * near.force.lower
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("far", FAR)
-def test_a_constant_bound_out_of_reach(far):
+@pytest.mark.parametrize("method", slow_except(["penalty", "vi", "successive"], "penalty"))
+def test_a_constant_bound_out_of_reach(method):
     """As without an obstacle, from a constant start too."""
     own = Plate(load=-3.0)
-    for method in ("penalty", "vi"):
+    expected = own.solve(-10.0, method).at([0.5, 0.5])
+    for far in FAR:
         found = own.solve(-far, method)
         assert (found.force.lower, found.area) == (0.0, 0.0)
-        assert found.at([0.5, 0.5]) == pytest.approx(own.solve(-10.0, method).at([0.5, 0.5]), rel=1e-10)
+        assert found.at([0.5, 0.5]) == pytest.approx(expected, rel=1e-10)
 
 
-@pytest.mark.parametrize("far", [10.0, *FAR])
 @pytest.mark.parametrize("element", slow_except(["P1", "P2", "Q1"], "P1"))
-def test_contradictions_beside_it(far, element):
+def test_contradictions_beside_it(element):
     """An obstacle above the boundary values, and obstacles that cross, are rejected."""
     own = Plate(element)
-    wrong = {
-        "lies below the lower obstacle": {"lower": lambda x: np.where(x[0] < 0.4, 1.5, -far)},
-        "lies above the upper obstacle": {"upper": lambda x: np.where(x[0] < 0.4, 1.2, far), "lower": -far},
-        "lower is above upper": {
-            "lower": lambda x: np.where(x[0] < 0.4, -0.1, -far),
-            "upper": lambda x: np.where(x[1] < 0.4, -0.1 - 1e-6, far),
-        },
-    }
-    for words, sides in wrong.items():
-        with pytest.raises(InputError, match=words):
-            ObstacleProblem(own.F, own.u, bcs=own.bc, **sides)
+    for far in (10.0, *FAR):
+        wrong = {
+            "lies below the lower obstacle": {"lower": lambda x, far=far: np.where(x[0] < 0.4, 1.5, -far)},
+            "lies above the upper obstacle": {
+                "upper": lambda x, far=far: np.where(x[0] < 0.4, 1.2, far),
+                "lower": -far,
+            },
+            "lower is above upper": {
+                "lower": lambda x, far=far: np.where(x[0] < 0.4, -0.1, -far),
+                "upper": lambda x, far=far: np.where(x[1] < 0.4, -0.1 - 1e-6, far),
+            },
+        }
+        for words, sides in wrong.items():
+            with pytest.raises(InputError, match=words):
+                ObstacleProblem(own.F, own.u, bcs=own.bc, **sides)
 
 
 def test_round_off_is_no_contradiction():
@@ -186,6 +189,7 @@ def test_an_interval_below_an_upper_obstacle(far):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_gaps_are_infinite_without_an_obstacle(folder):
     """In the solution, along lines, and in saved files; the picture is drawn."""
     answer = solve(where_far("1e20"))

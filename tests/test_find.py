@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, find, solve, study
-from tests.test_cli import run
+from tests.test_cli import inside
 
 COMM = MPI.COMM_WORLD
 BEARING = {  # the journal bearing, cut open along its groove and unrolled
@@ -99,7 +99,7 @@ def test_command(tmp_path):
     """A line of JSON for each solve, the found one last; nothing is computed twice; a wrong interval leaves nothing."""
     (tmp_path / "s.toml").write_text(string().toml())
     command = ["find", "s.toml", "--vary", "define.q=0.7..3", "--target", "force = 2", "--output", "f"]
-    done = run(*command, "--json", "-", cwd=tmp_path)
+    done = inside(*command, "--json", "-", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert abs(rows[-1]["contact"]["lower"]["force"] - 2) < 1e-3
@@ -108,10 +108,10 @@ def test_command(tmp_path):
     last = page[: page.index("</tbody>")].rpartition("<tr><td>")[2]
     assert last.startswith(f"{rows[-1]['vary']['define.q']:.6g}")
     assert (tmp_path / "f" / "last" / "answer.json").exists()
-    again = run(*command, "--json", "-", cwd=tmp_path)
+    again = inside(*command, "--json", "-", cwd=tmp_path)
     assert [json.loads(line)["key"] for line in again.stdout.splitlines()] == [row["key"] for row in rows]
     assert len((tmp_path / "f" / "rows.jsonl").read_text().splitlines()) == len(rows)
     before = set(Path(tmp_path).rglob("*"))
-    done = run("find", "s.toml", "--vary", "define.q=0.7..1", "--target", "force = 30", cwd=tmp_path)
+    done = inside("find", "s.toml", "--vary", "define.q=0.7..1", "--target", "force = 30", cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "both below the target" in done.stderr
     assert set(Path(tmp_path).rglob("*")) == before

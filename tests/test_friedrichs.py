@@ -125,7 +125,7 @@ def test_a_box_that_slits_cut(element, lower):
         scene = Scene(mesh=comb(n), tension=1, load=-1, lower=lower, boundary=[{"where": "x < 1e-9", "value": 0}])
         return solve(scene, method="vi", element=element, bound=bound)
 
-    answers, finest = [solved(n, element, bound=True) for n in (8, 16)], solved(64).record["energy"]
+    answers, finest = [solved(n, element, bound=True) for n in (8, 16)], solved(48).record["energy"]
     for answer in answers:
         bound = answer.bound
         assert bound.words == "certified on the polygon of the mesh"

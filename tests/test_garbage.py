@@ -14,7 +14,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import ObstacleProblem, releases
 from tests.conftest import COMM
 
-CELLS, TIMES = 128, 6
+CELLS, TIMES = 128, 4
 PROBLEM = 700 * CELLS**2 / COMM.size  # bytes of one, measured
 
 
@@ -49,6 +49,7 @@ def test_problems_that_are_gone_leave_nothing(meshes):
     assert found[-1] - found[1] < PROBLEM
 
 
+@pytest.mark.slow
 def test_solves_leave_nothing():
     """A loop over solves of one problem keeps one solver."""
     problem, found = membrane(square()), []

@@ -170,7 +170,7 @@ def test_the_same_on_all_ranks():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", [0.49, 0.505, 0.52])
+@pytest.mark.parametrize("place", [0.49, 0.505])
 def test_data_that_jump_inside_cells(place):
     """Meshes that halve may have a jump at one and the same wrong place; the true error is within 3 estimates."""
     scene = Scene(mesh={"shape": "interval", "cells": 16}, tension=f"where(x < {place}, 1, 1e-3)", lower=-0.4,
@@ -180,9 +180,8 @@ def test_data_that_jump_inside_cells(place):
     assert abs(found["value"] - truth) <= 3 * found["error"]
 
 
-@pytest.mark.parametrize(
-    ("strip", "cells"), [((0.123, 0.1277), 50), ((0.581, 0.5883), 16), ((0.331, 0.3344), 64), ((0.407, 0.6092), 32)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("strip", "cells"), [((0.123, 0.1277), 50), ((0.407, 0.6092), 32)])
 def test_a_strip_inside_cells_is_not_settled(strip, cells):
     """No finer mesh is known to have it: the estimate says so, however small it is, and names the datum."""
     tension = f"where(x < {strip[0]}, 1, where(x < {strip[1]}, 0.01, 1))"

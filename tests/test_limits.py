@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import InputError
-from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from tests.conftest import COMM, membrane
@@ -51,27 +49,6 @@ def test_bounds(data):
     assert max(seen.work) <= 1
     assert np.all(np.diff(seen.energy) < 0) and np.all(np.diff(seen.pressure) < 0)
     assert seen.above[-1] > 0.9
-
-
-def test_obstacle_below_the_boundary_values_is_refused():
-    """K_h is empty if g < 0 on the boundary, where u = 0: the place and both heights are told, on all ranks."""
-    scene = membrane(load=1, upper="0.3 - x", boundary=[{"value": 0}])
-    with pytest.raises(
-        InputError, match=r"value = 0 lies above the upper obstacle: 0 against -0.7 at \(1, 0\)"
-    ) as error:
-        SolverContext(scene)
-    assert "no u satisfies both" in str(error.value)
-
-
-def test_full_contact_and_none():
-    """f = -1 on psi = 0 = g: u = 0 and p = 1; psi = -1: the Poisson solution after one linear solve, p = 0."""
-    full = SolverContext(membrane(load=-1, lower=0)).answer(SolverOptions(method="vi"))
-    assert largest(COMM, np.abs(full.u.x.array)) == 0
-    inside = full.contact.x.array > 0
-    assert np.allclose(full.pressure.x.array[inside], 1)
-    lake = SolverContext(membrane(load=1, lower=-1)).answer()
-    assert lake.record["newton_iterations"] == 1
-    assert lake.record["contact"]["lower"]["force"] == 0
 
 
 def test_no_force_at_all():

@@ -222,15 +222,6 @@ def test_a_support_below_round_off_over_an_obstacle_far_off(lower, cells):
             solve(loose({"shape": "rectangle", "cells": cells}, load=-1, lower=lower, boundary=SPRING), method=method)
 
 
-@pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
-@pytest.mark.parametrize("far", slow_except([1e9, 1e15, 1e20, 1e25], 1e20))
-def test_an_obstacle_far_everywhere_absorbs_no_load(method, far):
-    """u counted from -1e20 would seem balanced without moving: the obstacle must change nothing."""
-    held = Scene(mesh=SQUARE, tension=1, load=-1)
-    expected = extremes(solve(held))
-    assert extremes(solve(held.change({"obstacle.lower": -far}), method=method)) == pytest.approx(expected, rel=1e-9)
-
-
 @pytest.mark.parametrize("shift", [1e8, 1e12])
 def test_shifted_heights_are_accepted(shift):
     """Round-off of heights that are data is no reason to reject: forces on the obstacle stay, as do held membranes."""

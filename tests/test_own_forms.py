@@ -7,7 +7,7 @@ from tests.conftest import COMM
 from tests.random.own_forms import Drawn, OwnForm, judged, not_in_balance
 
 FIRST = 1000  # `python -m tests.random.own_forms COUNT FIRST` tries more
-FEW, MANY = 2, {1: 20, 2: 8}  # on three ranks 4
+FEW, MANY = 2, {1: 12, 2: 6}  # on three ranks 4
 KNOWN = {1128}  # a start of 10 times the solution, where Newton's method fails with the penalty; the message says so
 
 

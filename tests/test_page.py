@@ -19,6 +19,9 @@ FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run -
 NASTY = '<script>alert("x")</script> & Sons, $\\no{formula$'
 
 
+pytestmark = pytest.mark.usefixtures("matplotlib_draws")
+
+
 class Page(HTMLParser):
     """Tags with their attributes, the texts, and whether every element is closed."""
 

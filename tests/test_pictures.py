@@ -133,14 +133,13 @@ def drawn_map(patch):
 @pytest.mark.parametrize(
     ("element", "words"), [("P1", "at nodes, linear"), ("P2", "midpoints"), ("Q1-gauss", "centres of cells")]
 )
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_the_pressure_is_the_one_that_was_computed(element, words):
     """At each node its value, 0 at those out of contact; the page says where it was computed, and what was done."""
     cell = {"cell": "quadrilateral"} if element.startswith("Q") else {}
     answer = solve(membrane(mesh={"shape": "rectangle", "cells": 8} | cell, load=-8, lower=-0.05), element=element)
     arrays = gather(answer)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(render, "find_spec", lambda name: None)
-        page = answer.plot().page
+    page = answer.plot().page
     if COMM.rank != 0:
         return
     axis, scale = page.axes
@@ -284,9 +283,9 @@ def test_one_node_in_contact_keeps_its_line():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shape", slow_except(["interval", "rectangle", "disk", "box"], "disk"))
-def test_every_shape_has_a_picture(shape, folder, monkeypatch):
+@pytest.mark.usefixtures("matplotlib_draws")
+def test_every_shape_has_a_picture(shape, folder):
     """By matplotlib alone, with a note in place of views in space; pyvista's turn comes below."""
-    monkeypatch.setattr(render, "find_spec", lambda name: None)
     answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
     said = answer.plot(folder / f"{shape}.png").said
     assert "drawn by " in said
@@ -367,11 +366,21 @@ def test_pyvista_draws_where_it_is(ball, folder):
 @pytest.mark.parametrize(
     ("ending", "begins"), slow_except([("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")], ("pdf", b"%PDF"))
 )
-def test_the_name_says_the_kind(ending, begins, disk, folder, monkeypatch):
-    monkeypatch.setattr(render, "find_spec", lambda name: None)
+@pytest.mark.usefixtures("matplotlib_draws")
+def test_the_name_says_the_kind(ending, begins, disk, folder):
     solve(disk, cells=4).plot(folder / f"disk.{ending}")
     assert (folder / f"disk.{ending}").read_bytes().startswith(begins)
     assert [path.name for path in folder.iterdir()] == [f"disk.{ending}"]
+
+
+@pytest.mark.usefixtures("matplotlib_draws")
+def test_a_notebook_shows_a_picture(disk, folder):
+    """Jupyter looks for `_repr_png_`; rank 0 draws, the others have words."""
+    answer = solve(disk, cells=4)
+    for picture in (answer.plot(), answer.plot(folder / "disk.png")):
+        data = picture._repr_png_()
+        assert "drawn by matplotlib" in repr(picture)
+        assert data.startswith(b"\x89PNG") if COMM.rank == 0 else data is None
 
 
 @pytest.mark.slow
@@ -426,12 +435,11 @@ def test_corners_in_contact_have_the_pressure_beside_them(mesh, element):
 
 @pytest.mark.serial
 @pytest.mark.parametrize(("dim", "lower", "filled"), [(1, 0, True), (1, -0.05, False), (2, 0, True), (2, -0.05, False)])
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_the_label_says_where_pressures_are_of_neighbours(dim, lower, filled):
     """Only a picture whose pressure at given values is that of neighbours says so."""
     shape = {"shape": ("interval", "rectangle")[dim - 1], "cells": 8}
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(render, "find_spec", lambda name: None)
-        page = solve(membrane(mesh=shape, load=-3, lower=lower)).plot().page
+    page = solve(membrane(mesh=shape, load=-3, lower=lower)).plot().page
     labels = " ".join(axis.get_ylabel().replace("\n", " ") for axis in page.axes)
     assert "computed at nodes, linear between" in labels
     assert ("where u is given: the mean of the neighbours" in labels) == filled

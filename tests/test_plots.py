@@ -8,7 +8,6 @@ import pytest
 
 from fenicsx_obstacle import InputError, Scene, study
 from fenicsx_obstacle.answers.time_history import Frame
-from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.figures import digits, steady, style
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.report import report_study
@@ -21,10 +20,8 @@ from tests.theory.statement import Curve, Found, Panel
 BUMP = {"load": -4, "lower": "-c", "define": {"c": 0.1}}
 
 
-@pytest.fixture(autouse=True)
-def without_pyvista(monkeypatch):
-    """The pictures of the last rows are not what is tested here."""
-    monkeypatch.setattr(render, "find_spec", lambda name: None)
+# the pictures of the last rows are not what is tested here
+pytestmark = pytest.mark.usefixtures("matplotlib_draws")
 
 
 def rows_of(scene, vary, folder):
@@ -178,20 +175,6 @@ def test_a_refused_study_leaves_nothing(disk, folder):
     with pytest.raises(InputError, match="must be positive"):
         report_study(bad, {"cells": [4, 8]}, {}, folder / "out", lambda line: None)
     assert (folder / "out" / "rows.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("vary", "options", "message"),
-    [
-        ({"cells": []}, {}, r"cells = \[\] cannot vary: expected a list of values"),
-        ({"cells": 4}, {}, "cells = 4 cannot vary"),
-        ({"cels": [4]}, {}, "unknown key 'cels'; did you mean 'cells'"),
-        ({"cells": [4]}, {"epz": 1}, "unknown key 'epz'; did you mean 'eps'"),
-    ],
-)
-def test_mistakes_in_calls(vary, options, message, disk):
-    with pytest.raises(InputError, match=message):
-        study(disk, vary, **options)
 
 
 @pytest.mark.slow

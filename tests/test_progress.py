@@ -80,7 +80,3 @@ def test_log_has_rank_and_time(ranks, tmp_path):
     assert {rank for rank, _ in found} == {str(rank) for rank in range(ranks)}
     assert sum("eps=0.1" in text for _, text in found) == ranks
     assert any(text.startswith("step 0: ") for _, text in found)
-
-
-def test_unknown_level_is_a_mistake(tmp_path):
-    assert run(*STUDY, tmp_path / "out", "--log", "loud").returncode == 2

@@ -1,9 +1,4 @@
-"""What runs without --all: every effect, every statement of the theory and every command at least once."""
-
-import re
-import subprocess
-import sys
-from importlib import import_module
+"""What runs without --all: every effect and every command at least once."""
 
 import numpy as np
 import pytest
@@ -15,8 +10,7 @@ from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
 from fenicsx_obstacle.show.report import report_study
-from tests.conftest import CLEAN, COMM, DEMOS
-from tests.theory.statement import statements
+from tests.conftest import COMM, DEMOS
 
 ROOT = DEMOS.parent
 
@@ -35,37 +29,6 @@ def test_every_effect(key):
     """Each effect of the register is solved: the solver converges to finite values that are not all 0."""
     answer = solve(scene_with(key))
     assert 0 < largest(COMM, np.abs(answer.u.x.array)) < np.inf
-
-
-def is_quick(function):
-    """Whether a test, or a case of it, runs without --all."""
-    marks = getattr(function, "pytestmark", [])
-    cases = [mark.args[1] for mark in marks if mark.name == "parametrize"]
-    return all(mark.name != "slow" for mark in marks) and all(
-        any(all(mark.name != "slow" for mark in getattr(case, "marks", ())) for case in values) for values in cases
-    )
-
-
-@pytest.mark.serial
-def test_every_statement():
-    """Each statement of the register has a row in docs/theory.md, and a test named in the row runs without --all."""
-    files, functions = set(), set()
-    for file in (ROOT / "tests").glob("test_*.py"):
-        tests = vars(import_module(f"tests.{file.stem}")).items()
-        quick = {name for name, value in tests if name.startswith("test_") and is_quick(value)}
-        files.update([f"tests/{file.name}"] if quick else [])
-        functions |= quick
-    assert functions
-    table = (ROOT / "docs" / "theory.md").read_text().partition("## Statements, functions")[2].partition("\n## ")[0]
-    rows = [line.split("|") for line in table.splitlines() if "`theory" in line]
-    tested = set()
-    for row in rows:
-        tests = re.findall(r"`(tests/\w+\.py|test_\w+)`", row[3])
-        assert tests, row
-        if any(test in files | functions for test in tests):
-            tested.update(re.findall(r'`(?:theory )?"?([^`"]+)"?`', row[4]))
-    for one in statements():
-        assert {one.number, *one.also} & tested, one.number
 
 
 BALL = ["ball", "--cells", "8", "--output", "result"]
@@ -109,16 +72,4 @@ def test_demo_on_few_cells(tmp_path, monkeypatch):
     done = CliRunner().invoke(commands, ["demo", "--output", str(tmp_path)], catch_exceptions=False)
     assert done.exit_code == 0
     assert len(list(tmp_path.rglob("answer.json"))) >= 4
-    assert len(list(tmp_path.rglob("rows.jsonl"))) == 3
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-@pytest.mark.timeout(600)
-def test_demo(tmp_path):
-    """The command 'demo' as it is."""
-    command = [sys.executable, "-m", "fenicsx_obstacle", "demo", "--output", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=550, check=False)
-    assert done.returncode == 0, done.stderr
-    assert {path.parent.name for path in tmp_path.glob("*/answer.json")} == {"string", "disk", "ball", "two_sided"}
     assert len(list(tmp_path.rglob("rows.jsonl"))) == 3

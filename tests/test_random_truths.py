@@ -10,30 +10,16 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.solve import solve
-from tests.conftest import COMM, slow_except
-from tests.random.families.anisotropic import Anisotropic
-from tests.random.families.axial import Axial
-from tests.random.families.bearings import Bearing, Bearings
-from tests.random.families.concentrated import LoadedLine, LoadedString
-from tests.random.families.conditions import KINDS as TERMS
-from tests.random.families.conditions import Conditions, Term
-from tests.random.families.curves import CIRCLES, Inclusion, Pole
-from tests.random.families.discs import Rings
+from tests.conftest import COMM
 from tests.random.families.drifts import Radial, Strip
 from tests.random.families.elements import Field
 from tests.random.families.equilibria import Feeble
 from tests.random.families.files import torsion
 from tests.random.families.films import Film
 from tests.random.families.integrals import Circle, Pieces, energy_error
-from tests.random.families.layers import SPELLINGS, WAVES, Layers, LayersInContact, Waves
-from tests.random.families.sectors import Corner, Sectors
-from tests.random.families.smooth import Polynomial
+from tests.random.families.layers import SPELLINGS, WAVES, LayersInContact, Waves
 from tests.random.families.solid_meshes import inscribed_ball, solid
-from tests.random.families.solids import KINDS as SOLIDS
 from tests.random.families.solids import Solid
-from tests.random.families.touching import KINDS as CONTACTS
-from tests.random.families.touching import Touching
-from tests.random.families.varying import Varying
 
 SQUARE = {"shape": "rectangle", "cells": 16, "diagonal": "right", "perturb": 0.0}
 
@@ -103,94 +89,9 @@ def test_poles_are_approached():
     assert COMM.allreduce(nodes.weights @ np.where(far < 0.5, 1 / far, 0)) == pytest.approx(pi / 4, rel=1e-10)
 
 
-WIDE = {"shape": "rectangle", "x": [-1.0, 1.0], "y": [-1.0, 1.0], "diagonal": "left", "perturb": 0.2}
-CORNER = {"shape": "l-shape", "x": [-1.0, 1.0], "y": [-1.0, 1.0]}
-TERM = Term("", 2.0, (0.3, 1.87), (0.1, -0.2), 0)
-DISC = Term("", -3.0, (0.12, -0.2), (0.43, 0.0), 0)
-BASE = Touching(WIDE, {}, 1, "", (0.3, 1.6), 0.07, 0.31, 4.0, "-x**2", "1 + x**2", "none", False, "7.3")
-TURNED = Anisotropic(**{**vars(BASE), "kind": "strip", "stiff": "1"}, angle="x - y", ratio=30.0, beyond=None)
-ROUND = Axial({**WIDE, "x": [0.0, 1.0]}, {}, 0, "ball", (0.3, 0.1), 0.45, 4.0, "x**2*y - y**2", "1 + x**2", 3.0, "1",
-              False, True, "3", ("right",), True)  # fmt: skip
-CLOSED = [  # a scene, the share of its error that is left with cells four times smaller, what is wrong otherwise
-    (Varying(WIDE, {}, 0, "exp(x)*sin(2*y)", "2 + sin(5*x)*cos(3*y)", 3.0), 0.3, {"formula": "exp(x)*sin(2.5*y)"}),
-    (Varying(WIDE, {}, 0, "x**3*y - y**2", "exp(x - y)", 3.0), 0.3, {"formula": "x**3*y - 1.3*y**2"}),
-    (Rings(WIDE, {}, 0, (0.12, -0.21), (0.31, 0.6), (1.0, 5.0, 2.0), (3.0, 0.0, -2.0), True), 0.6,
-     {"loads": (3.0, 0.0, 2.0)}),
-    (Rings(WIDE, {}, 3, (0.12, -0.21), (0.31,), (1.0, 1.0), (3.0, 0.0), False), 0.35, {"radii": (0.5,)}),
-    (Sectors(WIDE, {}, 0, pi / 4, pi / 2, 0.3), 0.7, {"stiff": 0.8}),
-    (Sectors(WIDE, {}, 3, 0.3, 2.0, 0.2), 0.6, {"opening": 1.5}),
-    (Corner(CORNER, {}, 0, 0.666667, True, -0.5, 1.0, 7.3), 0.5, {"size": 0.7}),
-    (Corner(CORNER, {}, 0, 1.3, False, 0.7, -0.3, 1.0), 0.35, {"even": True}),
-    *((Conditions(WIDE, {}, 0, (replace(DISC if kind in ("disc", "lens") else TERM, kind=kind),), "x**2 - x*y", 2.0),
-       0.35, {"terms": (replace(DISC if kind in ("disc", "lens") else TERM, kind=kind, size=40.0),)})
-      for kind in TERMS),
-    *((replace(BASE, kind=kind, upper=k % 2 == 0, change="kink" if kind == "half" else "none"), 0.4, {"size": 20.0})
-      for k, kind in enumerate(CONTACTS) if kind not in ("disc", "hole", "cone")),
-    *((replace(BASE, kind=kind, angles=(0.1, -0.2), upper=k % 2 == 0, change="jump away" if kind == "disc" else "none"),
-       0.4, {"size": 20.0}) for k, kind in enumerate(("disc", "hole", "cone"))),
-    (replace(BASE, kind="half", change="jump", stiff="exp(x - y)"), 0.4, {"size": 20.0}),
-    (TURNED, 0.4, {"size": 20.0}),
-    (replace(TURNED, kind="half", obstacle="0", beyond=("0.4", 0.2)), 0.4, {"size": 20.0}),
-    *((replace(ROUND, kind=kind), 0.4, {"size": 20.0}) for kind in ("ball", "shell")),
-    (replace(ROUND, kind="pipe", mesh={**WIDE, "x": [0.02, 1.0]}), 0.5, {"inside": 0.1}),
-    (replace(ROUND, kind="tube", mesh={"shape": "interval", "x": [0.0, 1.0]}, sides=()), 0.35, {"size": 20.0}),
-    (Bearings(WIDE, {}, 0, "x**3*y - y**2", "exp(x - y)", "3", False,
-              (Bearing("right", 0.1, 0.4, 20.0, 3.0, False, True, 2.0),)), 0.35, {"formula": "x**3*y - 1.3*y**2"}),
-    (LoadedLine({"slope": 0.5, "stretch": 0.6, "scatter": 0.2}, {}, 0, "x**3*y - y**2", "exp(x - y)", "2 + x*y", "half",
-                20.0, True, 4.0, 1.0, (0.6, -0.8), False, 0.0), 0.4, {"size": 20.0}),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("one", "left", "wrong"),
-    slow_except(CLOSED, *CLOSED[:8:3]),
-    ids=lambda one: getattr(one, "kind", getattr(one, "name", "")),
-)
-def test_closed_forms(one, left, wrong):
-    """Discrete solutions of the scene tend to its closed form, and to no other one."""
-    errors = []
-    for cells in (8, 32):
-        given = replace(one, mesh={**one.mesh, "cells": cells})
-        field = Field(solve(given.scene(COMM), comm=COMM).u)
-        errors.append(given.error(field)[0])
-    assert errors[1] < left * errors[0]
-    assert replace(given, **wrong).error(field)[0] > 2 * errors[1]
-
-
-def test_a_string_with_forces_at_points():
-    """With points at vertices and in contact discrete solutions tend to the closed form, and to no other one."""
-    one, errors = (
-        LoadedString(8, {}, "x**3 - x", "1 + x", "3", 0.3, 10.0, 1.0, (0.5, 0.75), (2.0, 1.0), (0.125,), "force", True),
-        [],
-    )
-    for cells in (8, 32):
-        given = replace(one, cells=cells)
-        field = Field(solve(given.scene(), comm=COMM).u)
-        errors.append(given.error(field)[0])
-    assert errors[1] < 0.35 * errors[0]
-    assert replace(given, size=20.0).error(field)[0] > 2 * errors[1]
-
-
 CUBE = {"shape": "box", "x": [-1.0, 1.0], "y": [-1.0, 1.0], "z": [-1.0, 1.0], "perturb": 0.1}
 BODY = Solid(CUBE, {}, "half", (0.6, 0.0, 0.8), (0.1, -0.05, 0.0), 0.45, "0", 2.0, "4 + x*y - z", 3.0, 1.0, 0.7, False,
              0.5, "flux", 2.0)  # fmt: skip
-CHANGES = {"layers": {"obstacle": "1 + x", "inside": 3.0}, "inclusion": {"obstacle": "exp(y - z)", "inside": 3.0},
-           "free": {"obstacle": "x**2 - y*z"}, "ball": {"inside": 10.0, "stiff": "1", "upper": True},
-           "tube": {"stiff": "1", "end": "spring"}, "point": {"obstacle": "x**3*z - y**2", "upper": True}}  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "half")) for kind in SOLIDS])
-def test_closed_forms_on_tetrahedra(kind):
-    """Discrete solutions tend to the closed form with order 1 in h, and to no other one."""
-    one, errors = replace(BODY, kind=kind, **CHANGES.get(kind, {})), []
-    for cells in (4, 8):
-        given = replace(one, mesh={**one.mesh, "cells": cells})
-        field = Field(solve(given.scene(COMM), comm=COMM).u)
-        errors.append(given.error(field)[0])
-    assert errors[1] < (0.7 if kind in ("layers", "inclusion") else 0.6) * errors[0]
-    other = {"obstacle": "2*(x**2 - y*z)"} if kind == "free" else {"size": 4.0}
-    assert replace(given, **other).error(field)[0] > 2 * errors[1]
 
 
 @pytest.mark.slow
@@ -218,41 +119,6 @@ def test_solids_are_filled(shape):
     assert norm**2 == pytest.approx(volume * density.mean(), rel=0.01)
 
 
-@pytest.mark.parametrize("spelling", range(10))
-def test_spellings(spelling):
-    """However conditions are written, the scene has the same solution."""
-    one = Rings({**WIDE, "cells": 8}, {}, 0, (0.12, -0.21), (0.31, 0.6), (1.0, 5.0, 2.0), (3.0, 0.0, -2.0), True)
-    energies = [solve(replace(one, spelling=k).scene(COMM), comm=COMM).record["energy"] for k in (0, spelling)]
-    assert energies[1] == pytest.approx(energies[0], rel=1e-10)
-
-
-@pytest.mark.slow
-def test_layers():
-    """Errors of P1: none where the jump is on a line of the mesh; where a cell is cut at 0.503 not as large as with the
-    tension at the middle of the cell, by hand, and no smaller than that of the best function of x alone."""
-    for place, contrast in ((0.5, 10.0), (0.503, 2.0), (0.503, 10.0)):
-        layers = Layers(SQUARE, {}, 0.0, (place,), (contrast, 1.0), 0.0, SPELLINGS[0])
-        error, norm = layers.error(Field(solve(layers.scene(), comm=COMM).u))
-        # with the tension of the middle the discrete flux is for a jump at 0.5
-        height = place / contrast + 1 - place
-        flux = height / (0.5 / contrast + 0.5)
-        squares = (0.5 * (1 - flux) ** 2 / contrast + (place - 0.5) * contrast * (1 / contrast - flux) ** 2
-                   + (1 - place) * (1 - flux) ** 2)  # fmt: skip
-        # of x alone: the energy with the mean tension in the column from 0.5 to 0.5625, less that of the truth
-        mean = 1 + (contrast - 1) * (place - 0.5) * 16
-        column = 0.5 / contrast + 0.0625 / mean + 0.4375
-        best = height**2 / column - height
-        assert norm == pytest.approx(height**0.5)
-        if place == 0.5:
-            assert error == pytest.approx(0, abs=1e-9)
-        else:
-            assert 0.9 * best**0.5 <= error <= squares**0.5
-    # another direction, with a load: the solution for a fine mesh converges to the truth
-    layers = Layers({**SQUARE, "cells": 32}, {}, pi / 4, (0.5**0.5,), (3.0, 1.0), -2.5, SPELLINGS[1])
-    error, norm = layers.error(Field(solve(layers.scene(), comm=COMM).u))
-    assert error < 0.2 * norm
-
-
 def test_layers_in_contact():
     """u' of the truth falls from 0 to the obstacle's depth and comes back; on a fine mesh u_h is near to it."""
     one = LayersInContact({**SQUARE, "cells": 64}, {}, (0.25, 0.75), (3.0, 1.0, 0.5), 4.0, 0.45, 0.8, SPELLINGS[2])
@@ -275,40 +141,6 @@ def test_waves(kind):
     x = (np.arange(400000) + 0.5) / 400000
     flux = 1 / np.mean(1 / WAVES[kind][1](x, 1.5, 23.0))
     assert waves.error(Field(function(1)))[1] ** 2 == pytest.approx(flux, rel=1e-4)
-
-
-@pytest.mark.parametrize("spelling", CIRCLES)
-def test_inclusion(spelling):
-    """u_h is near to the truth in the norm of the energy, and not to that of another tension."""
-    given = Inclusion({**SQUARE, "cells": 24}, {}, (-0.5, -0.377), 0.3, 5.0, spelling)
-    field, errors = Field(solve(given.scene(), comm=COMM).u), []
-    for tension in (5.0, 2.0):
-        error, norm = replace(given, tension=tension).error(field)
-        errors.append(error / norm)
-    assert errors[0] < 0.19 < 0.2 < errors[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("corner", [(0.0, 0.0), (-0.5, -0.5), (-0.377, -0.613)])
-def test_pole(corner):
-    """The energy of r^a, a = 1.7, is that by polar coordinates or on a fine grid; u_h tends to it."""
-    pole = Pole({**SQUARE, "cells": 32}, {}, corner, 1.7, 2.0, 1e-12)
-    n = 1500
-    x, y = np.meshgrid(*((np.arange(n) + 0.5) / n + start for start in corner))
-    energy = np.mean(2.0 * 1.7**2 * (x**2 + y**2) ** 0.7)
-    error, norm = pole.error(Field(solve(pole.scene(), comm=COMM).u))
-    assert norm**2 == pytest.approx(energy, rel=1e-4)
-    assert error < 0.05 * norm
-
-
-@pytest.mark.parametrize("element", ["P1", "P2"])
-def test_polynomial(element):
-    """Quadratic u: P2 has no error but round-off, P1 one of order h; load and boundary values are those of u."""
-    u = ((0.0, 1.0, 0.5), (0.25, -1.0, 0.0), (1.0, 0.0, 0.0))
-    one = Polynomial(SQUARE, {"element": element}, u, ((1.0, 2.0), (0.5, 0.0)), False)
-    error, norm = one.error(Field(solve(one.scene(), comm=COMM, element=element).u))
-    # one value of the tension per cell and P2: of second order
-    assert error < (0.1 if element == "P1" else 0.005) * norm
 
 
 def test_drift():

@@ -1,6 +1,5 @@
 """docs/contributing.md: the calls from `solve()` to the penalty, which are the same for all problems."""
 
-import ast
 import re
 import sys
 
@@ -71,26 +70,6 @@ def contains(stack, wanted):
     """Whether the wanted calls are in the stack, in their order."""
     rest = iter(stack)
     return all(any(path.endswith(file) and name == here for path, here in rest) for file, name in wanted)
-
-
-def callers(name):
-    """The modules of the package in which a function is called."""
-    found = set()
-    for path in (ROOT / "fenicsx_obstacle").rglob("*.py"):
-        calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
-        if any(getattr(call, "id", getattr(call, "attr", None)) == name for call in calls):
-            found.add(path.relative_to(ROOT / "fenicsx_obstacle").as_posix())
-    return found
-
-
-def test_there_is_one_path():
-    """One function chooses levels, one resolves eps, one solves on levels, one makes a record; all problems use it."""
-    before_solves = {"studies/cost.py", "studies/cost_mesh.py"}  # which ask how eps would be
-    assert callers("penalty_parameter") - before_solves == {"algebra/methods.py"}
-    assert callers("levels_of") == {"answers/solver_context.py", "problems/obstacle_problem.py"}
-    assert callers("method_of") == callers("solve_nested")
-    assert callers("solve_nested") == {"algebra/solve_system.py", "answers/time_stepper.py", "problems/solve.py"}
-    assert callers("record_of") == {"answers/solver_context.py", "problems/obstacle_problem.py"}
 
 
 @pytest.mark.parametrize("eps", ["auto", EpsFormula("h^2", lambda h: h * h), None])

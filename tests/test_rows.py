@@ -20,7 +20,7 @@ from fenicsx_obstacle.launcher import mpirun
 from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 from tests.conftest import CLEAN, DEMOS
-from tests.test_cli import run
+from tests.test_cli import inside, run
 
 pytestmark = pytest.mark.serial
 
@@ -70,7 +70,7 @@ def test_killed_at_random_moments(ranks, tmp_path):
     length = time.monotonic() - begun
     moments, killed = random.Random(ranks), tmp_path / "killed"
     seen = 0
-    for _ in range(4 if ranks == 1 else 2):
+    for _ in range(3 if ranks == 1 else 1):
         process = start(killed, ranks)
         time.sleep(moments.uniform(0.3, 1.0) * length)
         kill(process)
@@ -86,13 +86,13 @@ def test_killed_at_random_moments(ranks, tmp_path):
 
 @pytest.mark.slow
 def test_finished_study_computes_nothing_again_unless_fresh(tmp_path):
-    first = run(*STUDY, "--output", tmp_path / "out")
-    again = run(*STUDY, "--output", tmp_path / "out")
+    first = inside(*STUDY, "--output", tmp_path / "out")
+    again = inside(*STUDY, "--output", tmp_path / "out")
     assert first.returncode == again.returncode == 0
     assert "* timed in an earlier run" in again.stdout
     assert "* timed" not in first.stdout
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 7
-    fresh = run(*STUDY, "--output", tmp_path / "out", "--fresh")
+    fresh = inside(*STUDY, "--output", tmp_path / "out", "--fresh")
     assert "* timed" not in fresh.stdout
 
 
@@ -177,7 +177,7 @@ def test_interrupt_while_a_module_loads(chained, monkeypatch, capsys):
 @pytest.mark.slow
 def test_set_vary_grid_and_latex(tmp_path):
     """--set and --vary take any key of the scene; several --vary make a grid; --latex writes the table."""
-    done = run("study", DEMOS / "string.toml", "--set", "define.c=0.2", "--set", "mesh.x=[0, 1.5]", "--cells", 8,
+    done = inside("study", DEMOS / "string.toml", "--set", "define.c=0.2", "--set", "mesh.x=[0, 1.5]", "--cells", 8,
                "--vary", "define.f=4,8", "--vary", "method=penalty,vi", "--output", tmp_path / "out",
                "--latex", tmp_path / "table.tex", "--json", tmp_path / "rows.json")  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -186,10 +186,6 @@ def test_set_vary_grid_and_latex(tmp_path):
     latex = (tmp_path / "table.tex").read_text()
     assert latex.count(r"\\") == 5
     assert r"\toprule" in latex
-    for mistake in ("nope.c=1", "define.c", "mesh.cells=many", "define.nope=1"):
-        wrong = run("solve", DEMOS / "disk.toml", "--set", mistake, "--output", tmp_path / "out")
-        assert wrong.returncode == 2, mistake
-        assert wrong.stderr.startswith("Error: ")
 
 
 SIZED = """
@@ -248,7 +244,8 @@ def test_rows_are_of_the_contents_of_files(change, tmp_path):
     energies = []
     for value in (0.3, 0.1, 0.3):
         change(tmp_path, value)
-        done = run(*study, cwd=tmp_path)
+        # what Python and the compiler of forms remember of a plug-in is not that of a new process
+        done = (run if change is _plugin else inside)(*study, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         energies.append([json.loads(line)["energy"] for line in (tmp_path / "out.json").read_text().splitlines()])
     assert energies[0] == energies[2]  # found again, to the last digit
@@ -272,7 +269,7 @@ SHORT = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6", "--quiet", "-
 def rows_of_a_study(tmp_path_factory):
     """The lines of rows.jsonl that the study SHORT has written."""
     folder = tmp_path_factory.mktemp("study")
-    assert run(*SHORT, folder).returncode == 0
+    assert inside(*SHORT, folder).returncode == 0
     return (folder / "rows.jsonl").read_text().splitlines()
 
 
@@ -287,7 +284,7 @@ def test_wrong_fields_of_rows(what, forged, rows_of_a_study, tmp_path):
         content = row.pop("content")
         lines.append(json.dumps({**row, "content": rows_module._content(row) if forged else content}))
     (tmp_path / "rows.jsonl").write_text("\n".join(lines) + "\n")
-    done = run(*SHORT, tmp_path)
+    done = inside(*SHORT, tmp_path)
     if forged and what == "a row without its content":  # another number is a number
         return
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "rows.jsonl" in done.stderr, done.stderr

@@ -19,24 +19,36 @@ from tests.test_cli import CLEAN
 ELEMENTS = ["P1", "P2", "Q1", "Q1-gauss"]
 
 
-def result(folder, element="P1", load=-8, **more):
-    """A small result, saved."""
+def solved(element="P1", load=-8, **more):
+    """A small result."""
     cell = "quadrilateral" if element[0] == "Q" else "triangle"
     scene = membrane(mesh={"shape": "rectangle", "cells": 4, "cell": cell}, load=load, lower=-0.1, **more)
-    answer = solve(scene, element=element)
-    answer.save(folder)
-    return answer
+    return solve(scene, element=element)
 
 
-def with_time(folder, load=-8):
-    return result(folder, load=f"{load}*t", time={"end": 1, "steps": 2})
+def with_time(load=-8):
+    return solved(load=f"{load}*t", time={"end": 1, "steps": 2})
 
 
-@pytest.mark.parametrize("save", [result, with_time])
-def test_a_file_of_another_result_is_refused(save, folder):
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A function that copies the result with an element, which is solved and saved once, into a folder."""
+    once, elements = COMM.bcast(tmp_path_factory.mktemp("saved") if COMM.rank == 0 else None), set()
+
+    def copy(folder, element="P1"):
+        if element not in elements:
+            solved(element).save(once / element)
+            elements.add(element)
+        on_root(COMM, lambda: shutil.copytree(once / element, folder, dirs_exist_ok=True) and None)
+
+    return copy
+
+
+@pytest.mark.parametrize("make", [solved, with_time])
+def test_a_file_of_another_result_is_refused(make, folder):
     """Each file of a folder, taken from another result of the same scene; one that is missing; one that is too many."""
-    save(folder / "one")
-    save(folder / "other", load=-9)
+    make().save(folder / "one")
+    make(load=-9).save(folder / "other")
     Answer.read(folder / "one")
     names = on_root(COMM, lambda: sorted(file.name for file in (folder / "one").iterdir()))
     assert {"fields.h5", "scene.toml", "history.csv"} <= set(names)
@@ -54,10 +66,10 @@ def test_a_file_of_another_result_is_refused(save, folder):
             Answer.read(folder / name)
 
 
-def test_a_frame_too_many_is_refused(folder):
+def test_a_frame_too_many_is_refused(saved, folder):
     """Frames that an interrupted `save` has left belong to no steady result."""
-    with_time(folder / "moving")
-    result(folder / "still")
+    with_time().save(folder / "moving")
+    saved(folder / "still")
     on_root(COMM, lambda: shutil.copy(folder / "moving" / "frames.h5", folder / "still") and None)
     with pytest.raises(InputError, match=r"frames\.h5 is not the file"):
         Answer.read(folder / "still")
@@ -66,39 +78,44 @@ def test_a_frame_too_many_is_refused(folder):
 KILLED = """
 import os, sys
 from pathlib import Path
-from tests.test_saved_folders import result, with_time
-folder, count = Path(sys.argv[1]), int(sys.argv[2])
-replace, left = Path.replace, [count]
-def killed(self, target):
-    if left[0] == 0:
-        os._exit(9)
-    left[0] -= 1
-    return replace(self, target)
-Path.replace = killed
-{save}(folder, load=-9)
+from tests.test_saved_folders import solved, with_time
+answer, replace = {make}(load=-9), Path.replace
+for folder in sys.argv[1:]:
+    left = [int(Path(folder).name)]
+    def killed(self, target):
+        if left[0] == 0:
+            os._exit(9)
+        left[0] -= 1
+        return replace(self, target)
+    if os.fork() == 0:
+        Path.replace = killed
+        answer.save(folder)
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.wait()[1]))
 """
 
 
 @pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("old", [False, True], ids=["", "version 0.2"])
-@pytest.mark.parametrize("save", [result, with_time])
-def test_killed_between_two_renames(save, old, tmp_path):
+@pytest.mark.parametrize("make", [solved, with_time])
+def test_killed_between_two_renames(make, old, tmp_path):
     """What is read then is one of the two results, whole, or nothing."""
-    energies = {save(tmp_path / str(load), load=load).energy for load in (-8, -9)}
-    files = [name for name in os.listdir(tmp_path / "-9")]
-    read = 0
-    for count in range(len(files) + 1):
-        folder = tmp_path / "result"
-        shutil.rmtree(folder, ignore_errors=True)
-        save(folder)
-        if old:
-            as_version_02(folder)
-        command = [sys.executable, "-c", KILLED.format(save=save.__name__), str(folder), str(count)]
-        done = subprocess.run(
-            command, env=CLEAN, cwd=Path(__file__).parent.parent, timeout=60, capture_output=True, check=False
-        )
-        assert done.returncode == (9 if count < len(files) else 0), done.stderr
+    answers = [make(load=load) for load in (-8, -9)]
+    energies, read = {answer.energy for answer in answers}, 0
+    answers[0].save(tmp_path / "before")
+    if old:
+        as_version_02(tmp_path / "before")
+    files = os.listdir(tmp_path / "before")
+    folders = [tmp_path / str(count) for count in range(len(files) + 1)]
+    for folder in folders:
+        shutil.copytree(tmp_path / "before", folder)
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED.format(make=make.__name__), *map(str, folders)],
+        env=CLEAN, cwd=Path(__file__).parent.parent, timeout=60, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout.split() == ["9"] * len(files) + ["0"], done.stderr
+    for folder in folders:
         try:
             answer = Answer.read(folder)
         except InputError as error:
@@ -135,9 +152,9 @@ file.write_bytes(whole)
 @pytest.mark.serial
 @pytest.mark.parametrize("old", [False, True], ids=["", "version 0.2"])
 @pytest.mark.parametrize("element", ELEMENTS)
-def test_bit_flips(element, old, tmp_path):
+def test_bit_flips(element, old, saved, tmp_path):
     """A changed byte is noticed; without contents to compare with, the numbers may differ, but nothing hangs."""
-    result(tmp_path, element)
+    saved(tmp_path, element)
     if old:
         as_version_02(tmp_path)
     command = [sys.executable, "-c", FLIPPED, str(tmp_path), "3"]
@@ -243,9 +260,9 @@ FORGED = {
 
 
 @pytest.mark.parametrize("what", slow_except(DAMAGE, *list(DAMAGE)[:5]))
-def test_forged_fields_are_refused(what, folder):
+def test_forged_fields_are_refused(what, saved, folder):
     """Without contents to compare with: one message on all ranks, no hang, nothing from other files."""
-    result(folder)
+    saved(folder)
     on_root(COMM, as_version_02, folder)
     Answer.read(folder)
     on_root(COMM, DAMAGE[what], folder)
@@ -256,9 +273,9 @@ def test_forged_fields_are_refused(what, folder):
 
 @pytest.mark.parametrize("element", ["P2", "Q1-gauss"])
 @pytest.mark.parametrize("what", slow_except(FORGED, *list(FORGED)[:2]))
-def test_forged_elements_are_refused(what, element, folder):
+def test_forged_elements_are_refused(what, element, saved, folder):
     """None ends the process."""
-    result(folder, element)
+    saved(folder, element)
     on_root(COMM, as_version_02, folder)
     on_root(COMM, FORGED[what], folder)
     with pytest.raises(InputError, match="damaged"):
@@ -291,8 +308,8 @@ FIELDS = {
 
 
 @pytest.mark.parametrize("what", slow_except(FIELDS, *list(FIELDS)[:4]))
-def test_wrong_fields_of_answer_json(what, folder):
-    result(folder)
+def test_wrong_fields_of_answer_json(what, saved, folder):
+    saved(folder)
 
     def change():
         record = json.loads((folder / "answer.json").read_text())
@@ -303,8 +320,8 @@ def test_wrong_fields_of_answer_json(what, folder):
         Answer.read(folder)
 
 
-def test_answer_json_that_nests(folder):
-    result(folder)
+def test_answer_json_that_nests(saved, folder):
+    saved(folder)
     on_root(COMM, lambda: (folder / "answer.json").write_text("[" * 100000) and None)
     with pytest.raises(InputError, match="damaged"):
         Answer.read(folder)
@@ -314,9 +331,9 @@ def test_answer_json_that_nests(folder):
 @pytest.mark.serial
 def test_the_command_solve_keeps_the_contents(tmp_path):
     """answer.json is written anew with the seconds of the command: what it says of the files stays right."""
-    from tests.test_cli import run
+    from tests.test_cli import inside
 
-    done = run("solve", DEMOS / "disk.toml", "--cells", 4, "--output", tmp_path / "out", "--plot")
+    done = inside("solve", DEMOS / "disk.toml", "--cells", 4, "--output", tmp_path / "out", "--plot")
     assert done.returncode == 0, done.stderr
     assert "files" not in Answer.read(tmp_path / "out").record
     assert "files" in json.loads((tmp_path / "out" / "answer.json").read_text())
@@ -353,13 +370,23 @@ CHECKPOINT = {
 }
 
 
+GROWING = {"mesh": {"shape": "rectangle", "cells": 4}, "load": "-8*t", "lower": -0.1, "rate": 1}
+
+
+@pytest.fixture(scope="module")
+def half_way(tmp_path_factory):
+    """The folder with the state of a scene at t = 1."""
+    folder = COMM.bcast(tmp_path_factory.mktemp("half_way") if COMM.rank == 0 else None)
+    solve(membrane(time={"end": 1, "steps": 2, "start": 0}, **GROWING), keep=folder)
+    return folder
+
+
 @pytest.mark.parametrize("what", slow_except(CHECKPOINT, *list(CHECKPOINT)[:4]))
-def test_a_damaged_checkpoint(what, folder):
+def test_a_damaged_checkpoint(what, half_way, folder):
     """A state to continue from is checked like a result."""
-    data = {"mesh": {"shape": "rectangle", "cells": 4}, "load": "-8*t", "lower": -0.1, "rate": 1}
-    solve(membrane(time={"end": 1, "steps": 2, "start": 0}, **data), keep=folder)
 
     def change():
+        shutil.copytree(half_way, folder, dirs_exist_ok=True)
         name, edit = CHECKPOINT[what]
         with h5py.File(folder / "checkpoint.h5", "a") as file:
             values = file[name][()] if name in file else None
@@ -369,5 +396,5 @@ def test_a_damaged_checkpoint(what, folder):
 
     on_root(COMM, change)
     with pytest.raises(InputError, match=r"checkpoint\.h5: is damaged") as caught:
-        solve(membrane(time={"end": 2, "steps": 4, "start": 0}, **data), restart=folder)
+        solve(membrane(time={"end": 2, "steps": 4, "start": 0}, **GROWING), restart=folder)
     assert len(str(caught.value).splitlines()) == 1

@@ -15,7 +15,10 @@ from tests.hard.unsolvable import Unsolvable, attempt, problems
 PROBLEMS = {problem.name: problem for problem in problems()}
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.ranks
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (k % 5 > 0)) for k, name in enumerate(PROBLEMS)]
+)
 def test_unsolvable(name):
     """All methods, one step; not a number at one place, on one rank; no matrix, no minimum."""
     held, said = attempt(PROBLEMS[name], COMM)
