@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle import InputError, NotConverged
+from fenicsx_obstacle import InputError, NotConverged, checkout
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.boundary import Patch, patch_of
 from fenicsx_obstacle.show.figures import figure
 from fenicsx_obstacle.show.maps import draw_domain, triangles
-from tests.hard.cases import Case, cases
+
+checkout.add_tests("the mosaic")
+from tests.hard.cases import Case, cases  # noqa: E402
 
 COLUMNS = 12
 BANDS = 10  # of heights
