@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, ObstacleProblem, Scene, releases, solve
-from fenicsx_obstacle.discrete.components import components
+from fenicsx_obstacle.discrete.conformity import components
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.meshes import coarsest
 from tests.conftest import COMM

@@ -76,6 +76,17 @@ def _owned(function: fem.Function) -> np.ndarray:
     return function.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
 
 
+def assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
+    """A linear form at local dofs, ghosts included (collective)."""
+    found = fem.Function(V)
+    vector = releases.vec(found)
+    fem.petsc.assemble_vector(vector, releases.form(form))
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    vector.destroy()
+    found.x.scatter_forward()
+    return found
+
+
 class Forms:
     """The residual, its derivative and the energy in UFL, assembled at every evaluation (all methods collective).
 
@@ -151,22 +162,13 @@ class Forms:
     def _point_weights(self) -> np.ndarray:
         level = self.data.level
         v = self.v if level.pair.nodal else ufl.TestFunction(level.Q)
-        values = self._integrals(v * self.rule.on(self.measure), v.ufl_function_space())
+        values = _owned(assembled(v * self.rule.on(self.measure), v.ufl_function_space())).copy()
         values[values < NO_WEIGHT * largest(level.comm, values)] = 0.0
         return values * self.thickness
 
     def unit_load(self) -> np.ndarray:
         """int phi_i at owned dofs."""
-        return self._integrals(self.v * self.data.dx, self.data.level.V)
-
-    def _integrals(self, linear: Any, V: fem.FunctionSpace) -> np.ndarray:
-        """A linear form at owned dofs of V."""
-        form = releases.form(linear)
-        out = releases.create_vector(V)
-        self._assemble(out, form)
-        values = out.array.copy()
-        out.destroy()
-        return values
+        return _owned(assembled(self.v * self.data.dx, self.data.level.V)).copy()
 
     def set_reference(self) -> None:
         """Called when r has changed."""

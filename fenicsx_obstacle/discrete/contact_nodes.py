@@ -24,7 +24,7 @@ from ufl.classes import Derivative, Zero
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.assembly import NO_WEIGHT
+from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled
 from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
@@ -396,18 +396,6 @@ def _weightless(
     if not targets:
         return np.empty(0, dtype=np.int64), np.empty((0, 1), dtype=np.int64), np.empty((0, 1))
     return np.array(targets), np.array(known), np.array(factors)
-
-
-def assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
-    """A linear form at local dofs, ghosts included (collective)."""
-    vector = fem.petsc.assemble_vector(releases.form(form))
-    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    found = fem.Function(V)
-    own = V.dofmap.index_map.size_local * V.dofmap.index_map_bs
-    found.x.array[:own] = vector.array_r[:own]
-    found.x.scatter_forward()
-    vector.destroy()
-    return found
 
 
 def _integrals(linear: ufl.Form, V: fem.FunctionSpace) -> np.ndarray:

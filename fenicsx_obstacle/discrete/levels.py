@@ -16,8 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import bisection, parents
 from fenicsx_obstacle.discrete.cells import cell_volumes, corners, own_cells
-from fenicsx_obstacle.discrete.components import Components, components
-from fenicsx_obstacle.discrete.conformity import check_mesh
+from fenicsx_obstacle.discrete.conformity import Components, check_mesh, components
 from fenicsx_obstacle.discrete.halving import Grid, halvings
 from fenicsx_obstacle.discrete.parents import Name
 from fenicsx_obstacle.discrete.reference import lagrange_degree
