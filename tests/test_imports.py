@@ -63,7 +63,7 @@ def package(folder, *names):
 
 HEAVY = {"matplotlib", "pyvista", "slepc4py", "gmsh", "PIL", "tests"}
 UNWANTED = {
-    "time": package("answers", "time_stepper", "checkpoint", "frames", "steps") | package("scenes", "time_bounds")
+    "time": package("answers", "time_stepper", "checkpoint", "steps") | package("scenes", "time_bounds")
     | package("discrete", "data_within_steps"),
     "reports": package("scenes", "functionals") | package("discrete", "distance"),
     "Newton at work": package("answers", "iterates") | package("show", "newton"),
