@@ -1,9 +1,12 @@
 """Error bounds on intervals and tetrahedra: in balance, never below a known error."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import Scene, polynomials
+from fenicsx_obstacle import Scene, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.surface_data import _slopes_on_facets
@@ -59,6 +62,22 @@ def test_the_flux_on_tetrahedra_is_in_balance():
     assert largest(COMM, np.abs(both[inside])) <= 4e-15 * largest(COMM, np.abs(flux.normal))
     assert flux.incompatible <= 1e-12
     context.close()
+
+
+def test_held_surfaces_inside():
+    """Where u is given on a surface inside the flux may jump: two boxes side by side, each on its own."""
+
+    def scene(mesh, sides):
+        return Scene(mesh=mesh, tension=1, load="abs(sin(pi*x))*y", lower=-1, boundary=[{"on": sides, "value": 0}])
+
+    box = {"shape": "box", "x": [-1, 1], "y": [0, 1], "z": [0, 1], "cells": 4}
+    level = SolverContext(scene(box, "left")).problem.level
+    middle = dmesh.locate_entities(level.mesh, 2, lambda x: np.isclose(x[0], 0))
+    ends = dmesh.locate_entities(level.mesh, 2, lambda x: np.isclose(np.abs(x[0]), 1))
+    own = replace(level, named={"middle": middle, "ends": ends}, coarse=None, parents=None, places=None, shape=None)
+    both = SolverContext(scene(level.mesh, ["middle", "ends"]), level=own).answer(bound=True).bound
+    one = solve(scene({**box, "x": [0, 1], "cells": 2}, ["left", "right"]), bound=True).bound
+    assert np.isclose(both.discretisation, np.sqrt(2) * one.discretisation, rtol=1e-9)
 
 
 @pytest.mark.slow

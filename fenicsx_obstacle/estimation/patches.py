@@ -15,7 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, total
 
 # the other vertices of a cell after each one
 OTHERS = {1: ((1,), (0,)), 2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
@@ -49,6 +49,7 @@ class Patches:
         sides = self._sides(simplices)
         self._trees = PatchTrees(sides, data.level.owned)
         self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
+        self._is_divided = total(self.comm, np.count_nonzero((sides.beside >= 0) & sides.held)) > 0
         self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
 
     def gather(self, *values: np.ndarray) -> np.ndarray:
@@ -145,6 +146,8 @@ class Patches:
     def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
         """The edges from each vertex to the others of its corners, of tetrahedra (collective).
 
+        Facets on which u is given may divide the corners around an edge: each part of them has an edge of its own.
+
         Returns:
             Their numbers at the corners, shape (corners, 3), which begin anew at each rank and are different for the
             two ends of an edge; the owned vertex of each; how many there are.
@@ -152,20 +155,55 @@ class Patches:
         mesh = simplices.data.level.mesh
         mesh.topology.create_entities(1)
         mesh.topology.create_connectivity(3, 1)
-        count = own_cells(mesh)
-        local = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[:count]
+        local = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[: own_cells(mesh)]
         index_map = mesh.topology.index_map(1)
         number = np.asarray(index_map.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 6)
         between, others, every, keys = simplices.edges(number), np.array(OTHERS[3]), np.arange(4), []
         for there in others.T:
             upper = self._number > self._number[:, there]
             keys.append(2 * between[:, every, there] + upper)
-        found = np.stack([part[self._order] for part in self._to_owners(*keys)], axis=1)
-        numbers, total = dense(found.ravel(), 2 * index_map.size_global)
+        found = np.stack(self._to_owners(*keys), axis=1)
+        numbers, count = dense(found.ravel(), 2 * index_map.size_global)
         numbers = numbers.reshape(found.shape)
-        vertex = np.empty(total, dtype=np.int64)
+        if self._is_divided:
+            numbers, count = _divided(numbers, count, self._sides(simplices))
+        numbers = numbers[self._order]
+        vertex = np.empty(count, dtype=np.int64)
         vertex[numbers] = self.vertex[self.patch][:, None]
-        return numbers, vertex, total
+        return numbers, vertex, count
+
+
+def _divided(numbers: np.ndarray, count: int, sides: Sides) -> tuple[np.ndarray, int]:
+    """Numbers of edges at the corners, different in parts of the corners around an edge that are not connected across
+    facets, and how many there are (local).
+
+    Args:
+        numbers: The same in all corners around an edge, shape (corners, 3), in the order of `sides`.
+        count: How many there are.
+        sides: The facets of the corners.
+    """
+    is_cut, inside = np.zeros(count, dtype=bool), (sides.beside >= 0) & sides.held
+    for j in range(3):
+        is_cut[numbers[inside[:, j]][:, [(j + 1) % 3, (j + 2) % 3]]] = True
+    corner, k = np.nonzero(is_cut[numbers])
+    place = np.full(numbers.shape, -1)
+    place[corner, k] = label = np.arange(len(corner))
+    here, there = [], []  # the same edge in two corners with a common facet
+    for step in (1, 2):
+        side = (k + step) % 3
+        beside = np.where(sides.held[corner, side], -1, sides.beside[corner, side]) // 3
+        for m in range(3):
+            same = (beside >= 0) & (numbers[beside, m] == numbers[corner, k])
+            here.append(label[same])
+            there.append(place[beside[same], m])
+    ones, others, before = np.concatenate(here), np.concatenate(there), np.full(len(label), -1)
+    while not np.array_equal(label, before):
+        before, label = label, label.copy()
+        np.minimum.at(label, ones, before[others])
+    found = numbers.copy()
+    found[corner, k] = count + label
+    found, parts = dense(found.ravel(), count + len(corner))
+    return found.reshape(numbers.shape), parts
 
 
 def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
