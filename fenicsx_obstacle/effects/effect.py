@@ -243,6 +243,37 @@ class Effect:
         return None
 
 
+@dataclass(frozen=True)
+class WithTension(Effect):
+    """An elastic effect of a scalar u with a tension that is a number, and may depend on |grad u|."""
+
+    left = True
+    unit = "force/length"
+    elastic = True
+
+    def push(self, data: Sampler) -> tuple[float, float] | None:
+        return 0.0, 0.0
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return self.tension_at(u, data) * ufl.inner(ufl.grad(u), ufl.grad(v)) * data.dx
+
+    def stiffness(self, data: Sampler) -> np.ndarray:
+        return data.values(self.value, positive=True)
+
+
+@dataclass(frozen=True)
+class OfComponents(Effect):
+    """An effect on elastic bodies whose datum is a vector.
+
+    Attributes:
+        value: Its components.
+    """
+
+    value: tuple[Field, ...]  # type: ignore[assignment]
+
+    vector_valued = True
+
+
 def _text(value: Any) -> str:
     """A datum, or several in lists, in words."""
     return f"[{', '.join(map(_text, value))}]" if isinstance(value, tuple) else value.text
@@ -284,6 +315,17 @@ def keys_of(
     if one_of and not set(one_of) & set(raw):
         raise InputError(f"{reader.source}: {place}: needs {' or '.join(one_of)}")
     return raw
+
+
+def components_of(raw: Any, place: str, reader: Reader) -> tuple[Field, ...]:
+    """The components of a vector in a scene.
+
+    Raises:
+        InputError: If it is not a list of two or three numbers or formulas.
+    """
+    if not isinstance(raw, list | tuple) or len(raw) not in (2, 3) or any(isinstance(one, list | dict) for one in raw):
+        raise InputError(f"{reader.source}: {place} = {raw!r}: expected a list of two or three numbers or formulas")
+    return tuple(reader.field(one, f"{place}[{k}]") for k, one in enumerate(raw))
 
 
 _register: dict[str, type[Effect]] = {}

@@ -1,13 +1,16 @@
-"""Springs on a part of the boundary."""
+"""Springs on a part of the boundary, also of an elastic body."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import ufl
+from ufl import FacetNormal, dot
 
-from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.boundary import OfComponentsOnPart, OnPart
 from fenicsx_obstacle.effects.effect import Reader, Sampler, register
+
+OF_BODIES = "force/length^3"  # unit of springs on elastic bodies
 
 
 @register
@@ -29,9 +32,7 @@ class Spring(OnPart):
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Any:
         if isinstance(raw, list | tuple) or reader.of_body:
-            from fenicsx_obstacle.effects import elastic_support as of_bodies  # only where a scene has a vector
-
-            kind = of_bodies.ElasticSupport if isinstance(raw, list | tuple) else of_bodies.NormalSpring
+            kind = ElasticSupport if isinstance(raw, list | tuple) else NormalSpring
             return kind.read(raw, place, reader, **more)
         return super().read(raw, place, reader, **more)
 
@@ -45,3 +46,37 @@ class Spring(OnPart):
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)
         return 0.5 * k * u**2 * data.over(self.part, self.key, nodal=True)
+
+
+class NormalSpring(OnPart):
+    """sigma(u) n = -spring (u . n) n with the outward normal n: + int spring (u . n) (v . n), spring >= 0.
+
+    The formula is interpolated between the nodes of the part; unit: force per area and length.
+    """
+
+    key = "spring"
+    table = "boundary"
+    equation = "- spring (u . n) n"
+    term = "+ int spring (u . n) (v . n) over its part"
+    unit = OF_BODIES
+    vector_valued = True
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        k, n = data.on_part(self.value, self.part, least=0.0), FacetNormal(v.ufl_domain())
+        return k * dot(u, n) * dot(v, n) * data.over(self.part, self.key)
+
+
+class ElasticSupport(OfComponentsOnPart):
+    """The components of sigma(u) n are -spring_k u_k: + int sum spring_k u_k v_k, spring_k >= 0.
+
+    Unit: force per area and length.
+    """
+
+    key = "spring"
+    equation = "- diag(spring) u"
+    term = "+ int diag(spring) u . v over its part"
+    unit = OF_BODIES
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        each = self.components(u, data, least=0.0)
+        return sum(k * u[i] * v[i] for i, k in enumerate(each)) * data.over(self.part, self.key)

@@ -8,13 +8,12 @@ from typing import Any
 import ufl
 from ufl import grad, inner, sqrt
 
-from fenicsx_obstacle.effects.effect import Sampler, register
-from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
+from fenicsx_obstacle.effects.effect import Sampler, WithTension, register
 
 
 @register
 @dataclass(frozen=True)
-class LargeSlope(GradientDependent):
+class LargeSlope(WithTension):
     """-div(s grad u/sqrt(1 + |grad u|^2)), s the surface tension: int s grad u . grad v/sqrt(1 + |grad u|^2).
 
     The tension of a film whose slopes are no longer small; its energy s times the area is convex. Without load it is a
@@ -24,6 +23,7 @@ class LargeSlope(GradientDependent):
     key = "large_slope"
     equation = "-div(large_slope grad u/sqrt(1 + |grad u|^2))"
     term = "int large_slope grad u . grad v/sqrt(1 + |grad u|^2)"
+    affine = False
     film = True
 
     def tension_at(self, u: Any, data: Sampler) -> Any:

@@ -1,12 +1,13 @@
-"""A load per area."""
+"""A load per area, or per volume on an elastic body."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import ufl
+from ufl import inner
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, OfComponents, Reader, Sampler, components_of, register
 
 
 @register
@@ -23,8 +24,6 @@ class Load(Effect):
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
         if isinstance(raw, list):
-            from fenicsx_obstacle.effects.body_force import BodyForce  # only where a scene has a vector
-
             return BodyForce.read(raw, place, reader)
         return cls(reader.value(raw, place))
 
@@ -37,3 +36,19 @@ class Load(Effect):
     def push(self, data: Sampler) -> tuple[float, float]:
         values = data.values(self.value)
         return float(values.min(initial=0.0)), float(values.max(initial=0.0))
+
+
+class BodyForce(OfComponents):
+    """The load f of f(v) = int f . v, sampled as `Level.W` is; unit: force per volume."""
+
+    key = "load"
+    equation = "load"
+    term = "- int load . v"
+    unit = "force/volume"
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> BodyForce:
+        return cls(components_of(raw, place, reader))
+
+    def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
+        return -inner(data.field(self.value), v) * data.dx

@@ -8,8 +8,7 @@ from typing import Any
 import ufl
 from ufl import grad, inner
 
-from fenicsx_obstacle.effects.effect import Reader, Sampler, keys_of, register
-from fenicsx_obstacle.effects.gradient_dependent import GradientDependent
+from fenicsx_obstacle.effects.effect import Reader, Sampler, WithTension, keys_of, register
 from fenicsx_obstacle.errors import InputError
 
 _LIMITS = (
@@ -21,7 +20,7 @@ FLAT = 1e-6  # slope below which a power law is that of a linear membrane
 
 @register
 @dataclass(frozen=True)
-class PowerLaw(GradientDependent):
+class PowerLaw(WithTension):
     """-div(k |grad u|^(n-2) grad u), 1 < n < 4: int k (|grad u|^2 + d^2)^((n-2)/2) grad u . grad v.
 
     The n-Laplacian (Glowinski and Marrocco 1975): fluids, ice and torsion that creep by power laws. Where u is flat it
@@ -39,6 +38,7 @@ class PowerLaw(GradientDependent):
     key = "power_law"
     equation = "-div(coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u)"
     term = "int coefficient (|grad u|^2 + regularisation^2)^((exponent - 2)/2) grad u . grad v"
+    affine = False
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PowerLaw:
