@@ -68,14 +68,8 @@ def _by_material(data: Samples, tension: Field, count: int) -> list[tuple[np.nda
     """Local cells, and the datum there."""
     if tension.parts is None:
         return [] if tension.uniform else [(np.arange(count), tension)]
-    parts = [(np.flatnonzero(_in_cells(data, name, count)), part) for name, part in tension.parts.items()]
+    parts = [(np.unique(data.level.groups[name]), part) for name, part in tension.parts.items()]
     return [(cells, part) for cells, part in parts if not part.uniform]
-
-
-def _in_cells(data: Samples, name: str, count: int) -> np.ndarray:
-    found = np.zeros(count, dtype=bool)
-    found[data.level.groups[name]] = True
-    return found
 
 
 def _values(data: Samples, datum: Field, points: np.ndarray, cells: np.ndarray) -> np.ndarray:

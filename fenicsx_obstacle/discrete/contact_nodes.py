@@ -29,6 +29,7 @@ from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.reference import lagrange_degree
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
@@ -232,15 +233,13 @@ class ContactNodes:
         length = np.linalg.norm(sums, axis=1)
         for bad, what in (
             (sizes[:, 0] <= NO_WEIGHT * sizes[:, 1], "of does not depend on u"),
-            (length < KINK * sizes[:, 0], "facets with different normals meet, so that their common node has "
-                "none; give "
-             "one normal for each part, or round the edge,"),
+            (length < KINK * sizes[:, 0], "facets with different normals meet, so that their common node has none; "
+             "give one normal for each part, or round the edge,"),
         ):  # fmt: skip
             points = level.nodes.T[on & bad]
             found = [one for one in level.comm.allgather(points[0].tolist() if len(points) else None) if one]
             if found:
-                place = ", ".join(f"{x:.4g}" for x in min(found)[: level.mesh.geometry.dim])
-                raise InputError(f"{name}: of: {what} at ({place})")
+                raise InputError(f"{name}: of: {what} at {place(min(found)[: level.mesh.geometry.dim])}")
 
     def _set_reflections(self, axis: np.ndarray) -> None:
         """Householder reflections with H e = N, for e the coordinate axis that is nearest to N."""
@@ -387,10 +386,10 @@ def _weightless(
         x = level.nodes.T[row]
         x = np.column_stack([np.ones(len(row)), x - x.mean(axis=0)])
         inverse = np.linalg.pinv(x[there])
-        for place in np.flatnonzero(~there):
-            targets.append(row[place])
+        for number in np.flatnonzero(~there):
+            targets.append(row[number])
             known.append(row[there])
-            factors.append(x[place] @ inverse)
+            factors.append(x[number] @ inverse)
     if total(mesh.comm, len(targets)) == 0:
         return None
     if not targets:

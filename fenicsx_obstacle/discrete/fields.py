@@ -28,6 +28,7 @@ from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Names
@@ -276,8 +277,8 @@ class OfFunction(Field):
         values = self._without_leaks(lambda function: values_of(function, everywhere))
         lost = np.flatnonzero(np.isnan(values))
         if len(lost):
-            where = ", ".join(f"{x:.4g}" for x in min(everywhere[lost].tolist())[: level.mesh.geometry.dim])
-            words = f"with no finite value at ({where}): is this point outside of its mesh?"
+            where = place(min(everywhere[lost].tolist())[: level.mesh.geometry.dim])
+            words = f"with no finite value at {where}: is this point outside of its mesh?"
             raise InputError(f"{self.source} is a Function on another mesh, {words}")
         return values[start : start + len(parts[comm.rank])]
 
@@ -352,9 +353,8 @@ class OfExpression(Field):
         places = [one for part in comm.allgather(found) for one in part]
         if places:
             point, value, other = min(places)
-            where = ", ".join(f"{x:.4g}" for x in point)
             raise InputError(
-                f"{self.source} is a UFL expression that is not continuous: at ({where}) it is {value:.4g} and "
+                f"{self.source} is a UFL expression that is not continuous: at {place(point)} it is {value:.4g} and "
                 f"{other:.4g} in two cells; project it onto a continuous space"
             )
 

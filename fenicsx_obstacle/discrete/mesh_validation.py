@@ -5,6 +5,8 @@ DOLFINx takes such files as they come, and the first to notice is a solver, or t
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from fenicsx_obstacle.discrete.simplex_sizes import sizes
@@ -59,6 +61,6 @@ def _twice(cells: np.ndarray) -> int | None:
     return int(order[same[0]]) if len(same) else None
 
 
-def place(point: np.ndarray) -> str:
+def place(point: Iterable[float]) -> str:
     """A point, for messages."""
     return f"({', '.join(f'{x:.4g}' for x in point)})"

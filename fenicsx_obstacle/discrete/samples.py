@@ -11,6 +11,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.time_discretization import Moment
@@ -191,6 +192,4 @@ class Samples:
     def place(self, point: np.ndarray) -> str:
         """A point (3,) in words; coordinates that are round-off are 0."""
         least = ROUND_OFF * np.abs(point).max()
-        return (
-            "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in point[: self.level.mesh.geometry.dim]) + ")"
-        )
+        return place(np.where(np.abs(point) > least, point, 0.0)[: self.level.mesh.geometry.dim])
