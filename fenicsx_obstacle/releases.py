@@ -364,11 +364,6 @@ def from_xdmf(file: io.XDMFFile, name: str) -> dmesh.Mesh:
     return settle(file.read_mesh(FACET_GHOSTS, name=name))
 
 
-def failed(solver: Any) -> bool:
-    """Whether a KSP or SNES stopped without convergence."""
-    return solver.getConvergedReason() <= 0
-
-
 def polynomial_degree(V: fem.FunctionSpace) -> int | None:
     """Degree of the functions of a scalar space on simplices; None if they may not be polynomials."""
     element = V.ufl_element()

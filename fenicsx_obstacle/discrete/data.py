@@ -26,25 +26,11 @@ from fenicsx_obstacle.discrete.time_discretization import Moment, Motion
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.parts import Facets, Parts
-
-
-class Weighted:
-    """`integrand * Weighted` is the integral with a weight: a measure that is not that of the space itself."""
-
-    def __init__(self, measure: ufl.Measure, weight: ufl.core.expr.Expr):
-        self.measure, self.weight = measure, weight
-
-    def __call__(self, **how: Any) -> Weighted:
-        """The same with another rule: `metadata=...`, as for a measure."""
-        return Weighted(self.measure(**how), self.weight)
-
-    def __rmul__(self, integrand: Any) -> ufl.Form:
-        return integrand * self.weight * self.measure
+    from fenicsx_obstacle.discrete.parts import Parts, Weighted
 
 
 class Data(Samples):
@@ -198,7 +184,11 @@ class Data(Samples):
     def dx(self) -> Any:
         """Integration over the domain."""
         dx = ufl.Measure("dx", domain=self.level.mesh)
-        return Weighted(dx, self.radius) if self.model.radial else dx
+        if not self.model.radial:
+            return dx
+        from fenicsx_obstacle.discrete.parts import Weighted  # only with axial symmetry
+
+        return Weighted(dx, None, self.radius)
 
     @property
     def axial(self) -> bool:
@@ -222,8 +212,8 @@ class Data(Samples):
     @cached_property
     def extent(self) -> float:
         """Longest side of the box around the mesh: makes an area of a length of contact (first use is collective)."""
-        x, comm = self.level.points, self.level.comm
-        return max(largest(comm, axis) - smallest(comm, axis) for axis in x)
+        low, high = self.level.box
+        return float(np.max(high - low))
 
     @cached_property
     def cell_size(self) -> Cellwise:
@@ -397,7 +387,7 @@ class Data(Samples):
                 check_both_sides(self.level.mesh, self.facets[number], f"{self.model.source}: {part.name}")
         return Parts(self.level, found, radial=self.model.radial)
 
-    def over(self, part: int, key: str, *, nodal: bool = False) -> Facets:
+    def over(self, part: int, key: str, *, nodal: bool = False) -> Weighted:
         """Integration over the part of the boundary, counted from 0, that has a key (collective on first use)."""
         return self.parts.over(part, key, nodal=nodal)
 

@@ -24,7 +24,7 @@ from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, smallest
 
 AT_ONCE = 50_000  # cells in memory
 INWARD = 1e-6  # of the way to the middle of the cell
@@ -250,6 +250,12 @@ class Level:
         inside.x.array[releases.cell_dofs(self.W)[self.groups[name]]] = 1.0
         inside.x.scatter_forward()
         return inside.x.array > 0.5
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest coordinates of the nodes, shape (3,) each (first use is collective)."""
+        low, high = (np.array([end(self.comm, axis) for axis in self.points]) for end in (smallest, largest))
+        return low, high
 
     @cached_property
     def boundary_facets(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""UFL measures of parts of the boundary and of curves inside."""
+"""UFL measures with weights: of parts of the boundary and of curves inside, and of axial symmetry."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ MOST = 30  # pairs of a part and a key: each is a bit of a facet's tag
 
 
 @dataclass(frozen=True)
-class Facets:
-    """`integrand * Facets` is the integral over facets of the boundary and over facets inside, which have two sides.
+class Weighted:
+    """`integrand * Weighted` is an integral with a weight: over cells, or over facets of the boundary and inside.
 
-    What is integrated is continuous, so either side will do.
+    Facets inside have two sides. What is integrated over them is continuous, so either will do.
 
     Attributes:
-        outside: Measure of those on the boundary, or None.
-        inside: Measure of those inside, or None.
+        outside: Measure of the cells, or of the facets on the boundary, or None.
+        inside: Measure of the facets inside, or None.
         weight: A factor of all integrands, or None.
     """
 
@@ -34,10 +34,10 @@ class Facets:
     inside: ufl.Measure | None
     weight: Any = None
 
-    def __call__(self, **how: Any) -> Facets:
+    def __call__(self, **how: Any) -> Weighted:
         """The same with another rule: `metadata=...`, as for a measure."""
         outside, inside = (None if part is None else part(**how) for part in (self.outside, self.inside))
-        return Facets(outside, inside, self.weight)
+        return Weighted(outside, inside, self.weight)
 
     def __rmul__(self, integrand: Any) -> ufl.Form:
         integrand = integrand if self.weight is None else integrand * self.weight
@@ -85,12 +85,12 @@ class Parts:
         self._ds = ufl.Measure("ds", domain=mesh, subdomain_data=marks)
         self._dS = ufl.Measure("dS", domain=mesh, subdomain_data=marks)
 
-    def over(self, number: int, key: str, *, nodal: bool = False) -> Facets:
+    def over(self, number: int, key: str, *, nodal: bool = False) -> Weighted:
         """Integration over the part, counted from 0, that has a key."""
         found = self._with(self._bit[number, key])
         return self.rule.on(found) if nodal else found
 
-    def all(self, key: str) -> Facets:
+    def all(self, key: str) -> Weighted:
         """Integration over all parts that have a key."""
         return self._with(sum(bit for (_, other), bit in self._bit.items() if other == key))
 
@@ -99,10 +99,10 @@ class Parts:
         """The nodal rule of the facets."""
         return nodal_rule(facet_of(releases.cell_name(self.level.mesh)), self.level.pair.degree)
 
-    def _with(self, bits: int) -> Facets:
+    def _with(self, bits: int) -> Weighted:
         """Integration over the facets whose tags have one of these bits."""
         on = []
         for measure, tags in ((self._ds, self._outside), (self._dS, self._inside)):
             ids = tuple(tag for tag in tags if tag & bits)
             on.append(measure(ids) if ids else None)
-        return Facets(on[0], on[1], self.weight)
+        return Weighted(on[0], on[1], self.weight)

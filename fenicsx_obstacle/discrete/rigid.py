@@ -15,7 +15,7 @@ from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.parallel import largest, total
 
 INDEPENDENT = 1e-8  # of the largest eigenvalue of a Gram matrix: vectors that are others' combinations
 LOOSE = 1e-11  # relative energy of a motion that nothing resists
@@ -39,18 +39,13 @@ def rigid_motions(x: np.ndarray, components: int) -> np.ndarray:
     Returns:
         Shape (motions, nodes, components).
     """
-    n = x.shape[1]
-    found = []
+    turns = [(i, j) for i in range(components) for j in range(i)]
+    found = np.zeros((components + len(turns), x.shape[1], components))
     for k in range(components):
-        motion = np.zeros((n, components))
-        motion[:, k] = 1.0
-        found.append(motion)
-    for i in range(components):
-        for j in range(i):
-            motion = np.zeros((n, components))
-            motion[:, i], motion[:, j] = x[j], -x[i]
-            found.append(motion)
-    return np.array(found).reshape(len(found), n, components)
+        found[k, :, k] = 1.0
+    for k, (i, j) in enumerate(turns, components):
+        found[k, :, i], found[k, :, j] = x[j], -x[i]
+    return found
 
 
 def motions_of(problem: BodySystem) -> np.ndarray:
@@ -66,9 +61,7 @@ def motions_of(problem: BodySystem) -> np.ndarray:
 
 def _box(level: VectorLevel) -> tuple[np.ndarray, float]:
     """Centre of the box around all nodes, shape (3,), and its longest side (collective)."""
-    x = level.nodes[:, : level.V.dofmap.index_map.size_local]
-    low = np.array([smallest(level.comm, axis) for axis in x])
-    high = np.array([largest(level.comm, axis) for axis in x])
+    low, high = level.box
     return (low + high) / 2, max(np.max(high - low), 1e-300)
 
 

@@ -68,9 +68,8 @@ def _inside(data: Samples, points: np.ndarray, material: str | None) -> np.ndarr
     """Rows of the points (n, 3) that are in the mesh, or in cells of a material (collective)."""
     level = data.level
     if releases.cell_name(level.mesh) not in SIMPLICES:  # rectangles and boxes
-        ends = zip(level.points, points.T, strict=True)
-        within = [(x >= smallest(level.comm, axis)) & (x <= largest(level.comm, axis)) for axis, x in ends]
-        return np.flatnonzero(np.all(within, axis=0))
+        low, high = level.box
+        return np.flatnonzero(np.all((points >= low) & (points <= high), axis=1))
     rows, cells, _ = locate(level, points)
     if material is not None:
         rows = rows[np.isin(cells, level.groups[material])]

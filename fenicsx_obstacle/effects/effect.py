@@ -70,9 +70,6 @@ class Sampler(Protocol):
     def values(self, value: Field, *, positive: bool = False) -> np.ndarray:
         """The values of `cellwise` at local cells, or the one there is."""
 
-    def at_nodes(self, value: Field) -> np.ndarray:
-        """Values at owned nodes."""
-
     def matrix(self, rows: tuple[tuple[Field, ...], ...]) -> Any:
         """Symmetric, positive definite matrix with one value per cell."""
 

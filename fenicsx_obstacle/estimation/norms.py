@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.releases import AMG
-from fenicsx_obstacle.discrete.data import Data, Weighted
+from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import Symbols
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
@@ -42,7 +42,9 @@ class ExactData:
         self.symbols = Symbols(mesh, {**now, "eps": self.eps})
         self.dx: Any = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         if data.model.radial:
-            self.dx = Weighted(self.dx, self.symbols.axes[0])
+            from fenicsx_obstacle.discrete.parts import Weighted  # only with axial symmetry
+
+            self.dx = Weighted(self.dx, None, self.symbols.axes[0])
 
     def cellwise(self, field: Field, *, positive: bool = False, least: float | None = None) -> Any:
         """The datum itself; of materials each within its own cells (then collective)."""
@@ -76,10 +78,6 @@ class ExactData:
     def values(self, field: Field, *, positive: bool = False) -> np.ndarray:
         """Sampled."""
         return self.data.values(field, positive=positive)
-
-    def at_nodes(self, field: Field) -> np.ndarray:
-        """Sampled."""
-        return self.data.at_nodes(field)
 
     def matrix(self, rows: tuple[tuple[Field, ...], ...]) -> Any:
         """The data themselves."""
