@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, releases, solve
-from fenicsx_obstacle.discrete import trapped_drift
+from fenicsx_obstacle.discrete import drift as drift_checks
 from fenicsx_obstacle.parallel import largest, smallest
 from tests.conftest import COMM, slow_except
 
@@ -382,8 +382,8 @@ def test_drift_with_a_way_out_is_solved_on_coarse_cells(drift):
 @pytest.fixture
 def residence_times(monkeypatch):
     """Calls of the system for the residence time."""
-    calls, compute = [], trapped_drift.residence_time
-    monkeypatch.setattr(trapped_drift, "residence_time", lambda *given: calls.append(1) or compute(*given))
+    calls, compute = [], drift_checks.residence_time
+    monkeypatch.setattr(drift_checks, "residence_time", lambda *given: calls.append(1) or compute(*given))
     return calls
 
 

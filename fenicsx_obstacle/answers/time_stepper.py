@@ -23,9 +23,9 @@ from fenicsx_obstacle.answers.steps import Steps
 from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory, at_time
 from fenicsx_obstacle.discrete.admissible import giver, worst
 from fenicsx_obstacle.discrete.data_within_steps import DataWithinSteps
+from fenicsx_obstacle.discrete.drift import check_drift_in_time
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
-from fenicsx_obstacle.discrete.trapped_drift import check_drift_in_time
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import fields_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total

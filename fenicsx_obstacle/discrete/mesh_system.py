@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -18,9 +18,6 @@ from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.transfer import to_parents
 from fenicsx_obstacle.parallel import largest, smallest
 
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.drift import Drift
-
 
 class MeshSystem(System):
     """A system whose unknowns are the dofs of a mesh.
@@ -33,6 +30,7 @@ class MeshSystem(System):
         level: The mesh and V.
         law: The forms.
         vector_valued: Whether u has several components.
+        drift: The `discrete.drift.Drift` of a model that has one, otherwise None.
     """
 
     data: Data
@@ -41,6 +39,7 @@ class MeshSystem(System):
     law: Forms
     on_mesh = True
     vector_valued = False
+    drift: Any = None
 
     @property
     def h(self) -> float:  # type: ignore[override]
@@ -102,13 +101,3 @@ class MeshSystem(System):
         w, data, effects = self.law.w, self.data, self.model.effects
         derived = (e.energy(w, data) is not None or e.terms(w, self.law.v, data) is None for e in effects)
         return all(effect.convex for effect in effects) and all(derived)
-
-    @cached_property
-    def drift(self) -> Drift | None:
-        """The drift of the model, if it has one; renewed with the stiffness (first use is collective)."""
-        velocity: Any = next((effect.value for effect in self.model.effects if effect.role == "drift"), None)
-        if velocity is None:
-            return None
-        from fenicsx_obstacle.discrete.drift import Drift, peclet  # only where a model has drift
-
-        return Drift(velocity, peclet(self.data, velocity))

@@ -75,8 +75,9 @@ class Problem(MeshSystem):
             hint = HINT
             checks.append(torn)
         if any(effect.role == "drift" for effect in self.model.effects):
-            from fenicsx_obstacle.discrete.trapped_drift import trapped
+            from fenicsx_obstacle.discrete.drift import drift_of, trapped  # only where a model has drift
 
+            self.drift = drift_of(self.data)
             checks.append(trapped)
         return hint, tuple(checks)
 
@@ -122,8 +123,8 @@ class Problem(MeshSystem):
             check_admissible(self.data)
         if changed:
             self.__dict__.pop("m_matrix", None)
-        if changed or not (self.affine and self.nodal):  # otherwise the forms do not tell
-            self.__dict__.pop("drift", None)
+        if self.drift is not None and (changed or not (self.affine and self.nodal)):  # otherwise the forms do not tell
+            self.drift = self.drift.renewed(self.data)
         self.load = self._load_sum()
         check_limit_load(self)
         self._support()
