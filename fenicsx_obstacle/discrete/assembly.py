@@ -359,7 +359,7 @@ class Nodal(Affine, Forms):
         for effect in self.effects:
             if effect.role != "load":
                 continue
-            f, part = self.data.at_nodes(effect.value), self.vector()
+            f, part = _owned(self.data.nodal(effect.value)).copy(), self.vector()
             self._assemble(part, releases.form(effect.terms(zero, self.v, self.data)))
             self.add_forces(f * D + part.array_r)
             part.destroy()

@@ -252,11 +252,8 @@ def _check_contact(mesh: dmesh.Mesh, found: Components) -> list[str]:
 
 def _rim(mesh: dmesh.Mesh, found: Components) -> tuple[np.ndarray, ...]:
     """Owned exterior facets: their vertices, component and local length."""
-    dim = mesh.topology.dim
-    exterior = np.zeros(_count(mesh), dtype=bool)
-    exterior[dmesh.exterior_facet_indices(mesh.topology)] = True
-    table = cell_facets(mesh)
-    cells, numbers = np.nonzero(exterior[table])
+    dim, table = mesh.topology.dim, cell_facets(mesh)
+    cells, numbers = np.nonzero(np.isin(table, dmesh.exterior_facet_indices(mesh.topology)))
     _, first = np.unique(table[cells, numbers], return_index=True)
     cells, numbers = cells[first], numbers[first]
     rows = releases.geometry_dofs(mesh)[cells]
@@ -269,11 +266,6 @@ def _rim(mesh: dmesh.Mesh, found: Components) -> tuple[np.ndarray, ...]:
     width = edge_lengths(vertices).min(axis=1) if dim > 1 else np.inf
     size = np.minimum(volume / base, width)
     return vertices, found.of_cells[cells], size
-
-
-def _count(mesh: dmesh.Mesh) -> int:
-    facets = mesh.topology.index_map(mesh.topology.dim - 1)
-    return facets.size_local + facets.num_ghosts
 
 
 def _near(vertices: np.ndarray, size: np.ndarray) -> np.ndarray:

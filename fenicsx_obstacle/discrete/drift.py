@@ -110,8 +110,10 @@ def residence_time(
     dim = level.mesh.topology.dim
     dofs = np.asarray(V.dofmap.index_map.local_to_global(releases.cell_dofs(V)[: len(at), : at.shape[1]].ravel()))
     dofs = dofs.reshape(at.shape[:2]).astype(PETSc.IntType)  # of vertices, which are first
-    size, mu = cell_volumes(level.mesh, slice(len(at))), _mean_stiffness(data)
-    flow = [_in_cells(data, part) for part in velocity]
+    size = cell_volumes(level.mesh, slice(len(at)))
+    # means of the data in the cells
+    mu = _of_cells(data, data.model.elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
+    flow = [_of_cells(data, data.values(part)).mean(axis=1) for part in velocity]
     pairs = list(combinations(range(at.shape[1]), 2))
     parts = np.zeros((*at.shape[:2], at.shape[1]))  # the matrix of each cell
     for i, j in pairs:
@@ -144,16 +146,6 @@ def residence_time(
     for owner in (A, x, b):
         owner.destroy()
     return found
-
-
-def _mean_stiffness(data: Data) -> np.ndarray:
-    """The mean tension of owned cells, shape (cells or 1,)."""
-    return _of_cells(data, data.model.elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
-
-
-def _in_cells(data: Data, value: Field) -> np.ndarray:
-    """The mean of a datum in owned cells, shape (cells or 1,)."""
-    return _of_cells(data, data.values(value)).mean(axis=1)
 
 
 def _speeds(data: Data, velocity: Velocity) -> np.ndarray:

@@ -11,15 +11,11 @@ from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.levels import Level
 
 
-def point_cells(level: Level) -> np.ndarray:
-    """The owned dof of Q_h of each owned cell, where pressures are constant on cells."""
-    return releases.cell_dofs(level.Q)[: own_cells(level.mesh), 0]
-
-
 def cell_means(level: Level) -> PETSc.Mat:
     """The map from values at owned dofs of V_h to the means of the nodal values of each cell, at the owned dofs of Q_h
     (collective)."""
-    own, dofs, rows = own_cells(level.mesh), releases.cell_dofs(level.V), point_cells(level)
+    own, dofs = own_cells(level.mesh), releases.cell_dofs(level.V)
+    rows = releases.cell_dofs(level.Q)[:own, 0]  # pressures are constant on cells
     columns = level.V.dofmap.index_map.local_to_global(dofs[:own].ravel().astype(np.int32)).reshape(own, -1)
     inverse = np.argsort(rows)
     columns = columns[inverse].astype(PETSc.IntType)

@@ -102,14 +102,6 @@ class Samples:
         self._sample(function, field, more)
         return function
 
-    def at_nodes(self, field: Field) -> np.ndarray:
-        """Values at owned nodes (collective).
-
-        Raises:
-            InputError: As `nodal`.
-        """
-        return self.nodal(field).x.array[: self.level.owned]
-
     def _on_dofs(self, field: Field, dofs: np.ndarray) -> fem.Function:
         """A Function with the values of a datum at some local dofs, 0 elsewhere (collective)."""
         function = fem.Function(self.level.V)

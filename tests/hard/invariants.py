@@ -92,7 +92,7 @@ def _equilibrium(s: Solved) -> Finding:
         lumped = effect.role == "load" and problem.level.pair.own_weights
         form = effect.terms(u, one, data)
         if lumped:  # with the weights of its pair
-            net -= total(g.comm, data.at_nodes(effect.value) * g.D)
+            net -= total(g.comm, data.nodal(effect.value).x.array[: len(g.D)] * g.D)
         elif form is not None and any(integral.integrand() != 0 for integral in form.integrals()):
             net += total(g.comm, fem.assemble_scalar(releases.form(form)))
     contact, edge = total(g.comm, (g.D * s.p)[g.free]), total(g.comm, s.elastic[problem.fixed])
