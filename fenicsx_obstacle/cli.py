@@ -139,7 +139,7 @@ def study(
     if len(values) < len(vary):
         raise InputError("--vary: the same key twice; give all its values in one list")
     scene = _read(scene_file, {**fixed, **{key: some[0] for key, some in values.items()}})
-    from fenicsx_obstacle.show.report import report_study
+    from fenicsx_obstacle.show.study import report_study
 
     folder = output or Path("out") / scene.name / "-".join(values)
     run = partial(report_study, scene, values, fixed, folder, uncertainty=uncertainty, fresh=fresh, latex=latex)
@@ -175,7 +175,7 @@ def find(
     """
     (key, ends), fixed = interval(vary), typed(given)
     scene = _read(scene_file, {**fixed, key: ends[0]})
-    from fenicsx_obstacle.show.report import report_find
+    from fenicsx_obstacle.show.study import report_find
     from fenicsx_obstacle.studies.find import WITHIN, Find
 
     folder = output or Path("out") / scene.name / f"find-{key}"

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import solve
-from fenicsx_obstacle.show.report import report_answer, report_study
+from fenicsx_obstacle.show.report import report_answer
+from fenicsx_obstacle.show.study import report_study
 from tests.conftest import COMM, membrane
 
 CHROMIUM = shutil.which("chromium")

@@ -12,8 +12,8 @@ from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
 from fenicsx_obstacle.show.figures import blank, figure
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
-from fenicsx_obstacle.show.report import report_study
 from fenicsx_obstacle.show.space import draw_views
+from fenicsx_obstacle.show.study import report_study
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]

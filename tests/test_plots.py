@@ -10,7 +10,7 @@ from fenicsx_obstacle import InputError, Scene, study
 from fenicsx_obstacle.answers.time_history import Frame
 from fenicsx_obstacle.show.figures import digits, steady, style
 from fenicsx_obstacle.show.plots import drawings
-from fenicsx_obstacle.show.report import report_study
+from fenicsx_obstacle.show.study import report_study
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.show.time_history import _chosen
 from tests.conftest import COMM, DEMOS, membrane

@@ -9,7 +9,7 @@ from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
-from fenicsx_obstacle.show.report import report_study
+from fenicsx_obstacle.show.study import report_study
 from tests.conftest import COMM, DEMOS
 
 ROOT = DEMOS.parent

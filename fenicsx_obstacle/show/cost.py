@@ -17,7 +17,7 @@ from fenicsx_obstacle.show import cost_tables as tables
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.cost_plots import drawings
 from fenicsx_obstacle.show.figures import save
-from fenicsx_obstacle.show.report import Say
+from fenicsx_obstacle.show.study import Say
 from fenicsx_obstacle.show.tables import columns
 from fenicsx_obstacle.studies import price
 from fenicsx_obstacle.studies.cost import CostStudy, Row

@@ -8,7 +8,8 @@ from typing import Any
 from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.checkout import DEMOS, require
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.report import Say, report_answer, report_study
+from fenicsx_obstacle.show.report import report_answer
+from fenicsx_obstacle.show.study import Say, report_study
 from fenicsx_obstacle.text import title_of
 
 

@@ -45,7 +45,7 @@ def draw_profiles(answer: Answer, folder: Path) -> dict[str, Path]:
     """
     drawn = {name: folder / f"profile-{name}.png" for name in answer.scene.tables.profile}
     moment = answer.shown.title.removeprefix(answer.title)
-    for name, profile in (profiles_of(answer) if answer.scene.tables.profile else {}).items():
+    for name, profile in profiles_of(answer).items():
         given = answer.scene.tables.profile[name].compare
         moments, sizes = moments_of(answer, profile, given, compare_place(name)), _sizes(answer.shown)
         on_root(answer.level.comm, _write, answer, profile, moments, name + moment, sizes, drawn[name])

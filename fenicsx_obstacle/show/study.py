@@ -1,0 +1,133 @@
+"""Output of studies and searches: rows while they run, tables, plots, a page, and the last answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.io.origin import command
+from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.show import page
+from fenicsx_obstacle.show.figures import save
+from fenicsx_obstacle.show.plots import drawings
+from fenicsx_obstacle.show.profiles import draw_rows
+from fenicsx_obstacle.show.report import PICTURE, has_picture
+from fenicsx_obstacle.show.tables import StudyTable
+from fenicsx_obstacle.studies.convergence import Row, Study
+from fenicsx_obstacle.studies.find import Find
+from fenicsx_obstacle.studies.rows import RowStore
+from fenicsx_obstacle.text import counted
+
+Say = Callable[[str], None]
+
+
+def report_study(
+    scene: Scene,
+    vary: Mapping[str, Sequence[Any]],
+    options: Mapping[str, Any],
+    folder: Path,
+    say: Say,
+    *,
+    uncertainty: bool = False,
+    fresh: bool = False,
+    latex: Path | None = None,
+) -> list[Row]:
+    """Run a study, or go on with an interrupted one; print, save and draw it (collective).
+
+    Args:
+        scene: What to solve.
+        vary: Values of each key.
+        options: Fixed values.
+        folder: Where rows.jsonl, rows.csv, the plots, the page and the last answer go.
+        say: Prints a line on rank 0.
+        uncertainty: Of each quantity in each row.
+        fresh: Forget the rows that are there.
+        latex: File for the table in LaTeX.
+
+    Raises:
+        InputError: For bad data or a folder that cannot be written.
+        NotConverged: With PETSc's reason; the rows before it are on the disk.
+    """
+    study = Study(scene, vary, options, uncertainty=uncertainty)
+    with closing(RowStore(folder, study.comm, fresh=fresh)) as store:
+        return _report(study, store, say, latex)
+
+
+def report_find(search: Find, folder: Path, say: Say, *, fresh: bool = False) -> list[Row]:
+    """Find the value of a key for a target, or go on with an interrupted search; print, save and draw (collective).
+
+    Args:
+        search: The key, its interval and the target.
+        folder: As for `report_study`; the last answer is the one that was found.
+        say: Prints a line on rank 0.
+        fresh: Forget the rows that are there.
+
+    Raises:
+        InputError: For a target that is not between the values at both ends, or a folder that cannot be written.
+        NotConverged: With PETSc's reason; the rows before it are on the disk.
+    """
+    with closing(RowStore(folder, search.comm, fresh=fresh)) as store:
+        rows = _report(search, store, say)
+    words = f"{search.quantity} = {search.reached(rows[-1]):.6g}, the target is {search.target:g}"
+    say(f"{search.key} = {search.found:.6g}: {words}; {counted(len(rows), 'solve')}")
+    return rows
+
+
+def _report(study: Study, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
+    """Run a study, print its rows, and draw them into the folder of its store (collective)."""
+    comm, folder, table = study.comm, store.folder, StudyTable(study.vary, store.run, penalised=study.penalised)
+    answers: list[Answer | None] = [None]
+
+    def on_row(row: Row, answer: Answer | None) -> None:
+        for line in table.lines(row):
+            say(line)
+        if not isinstance(study, Find):  # a search has found its last row
+            answers[:] = [answer]
+
+    rows = study.run(on_row, store)
+    if isinstance(study, Find):  # on the page the last row is the one that was found
+        table.rows.clear()
+        for row in rows:
+            table.lines(row)
+    for note in table.notes():
+        say(fill(note, 110))
+    if latex is not None:
+        on_root(comm, write_text, latex, table.latex())
+    last = answers[0] or (None if on_root(comm, _is_drawn, folder, rows[-1]) else study.last_answer())
+    if last is not None:
+        last.save(folder / "last")
+        if has_picture(last):
+            say(last.plot(folder / "last" / PICTURE).said)
+        on_root(comm, write_text, folder / "last" / "row", rows[-1]["key"])
+    drawn = on_root(comm, _draw_study, folder, study, rows, table)
+    say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', 'last/', *drawn, page.NAME])}")
+    return rows
+
+
+def _is_drawn(folder: Path, row: Row) -> bool:
+    """Whether last/ holds the answer of this row."""
+    mark = folder / "last" / "row"
+    return mark.exists() and mark.read_text() == row["key"]
+
+
+def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) -> list[str]:
+    """Draw the plots and write the page (one rank).
+
+    Returns:
+        The names of the plots.
+    """
+    drawn, picture = dict[str, Path](), folder / "last" / PICTURE
+    for name, figure in drawings(rows, study.vary, study.last.tables.report):
+        drawn[name] = folder / f"{name}.png"
+        save(figure, drawn[name])
+    drawn |= draw_rows(rows, study.vary, study.last.tables.u, folder)
+    page.write_page(
+        folder / page.NAME, "study", study.last, rows[-1]["versions"], command(study.comm.size), record=rows[-1],
+        table=table, drawn=drawn, picture=picture if picture.exists() else None,
+    )  # fmt: skip
+    return [file.name for file in drawn.values()]
