@@ -1,5 +1,7 @@
 """From a tolerance to an answer: the energy error is below it, certified, and not far below; budgets end in words."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -69,6 +71,7 @@ def test_budget(budget):
     assert not answer.adaptive.reached and answer.adaptive.stopped.startswith("the budget of")
     assert "IS NOT REACHED: the budget of" in answer.summary()
     assert answer.record["errors"]["energy"] <= answer.record["bound"]["total"]
+    assert json.loads(json.dumps(answer.record)) == answer.record  # it can be saved
     if "unknowns" in budget:
         assert 500 < answer.record["dofs"] <= 2000
 

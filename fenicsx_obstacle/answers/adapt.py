@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
@@ -249,7 +250,7 @@ class Adaptation(Refinement):
         """
         self.tolerance, self.relative = check_tolerance(relative, absolute)
         super().__init__(scene, comm, budget)
-        self.estimates = np.isinf(self.budget.seconds) and np.isinf(self.budget.megabytes)
+        self.estimates = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
