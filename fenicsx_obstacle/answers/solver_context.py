@@ -30,7 +30,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
-from fenicsx_obstacle.problems.solve import Solved, State, solve
+from fenicsx_obstacle.problems.solve import State, solve
 from fenicsx_obstacle.problems.values import Seconds
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
@@ -201,7 +201,8 @@ class SolverContext:
             problem.state.share_all()
         time_history = None
         if scene.time is None:
-            found = self._at_rest(levels, options, near, monitor)
+            begin = None if near is None else lambda _: problem.set_reference(near)
+            found = solve(levels, options, start=begin, ready=self._ready if len(levels) > 1 else 0, monitor=monitor)
             last, state, nests = found.outcome, found.state, len(found.outcomes) > 1
             counts = {"newton_total": sum(o.iterations for o in found.outcomes),
                       "krylov_total": sum(o.krylov for o in found.outcomes)}  # fmt: skip
@@ -236,9 +237,7 @@ class SolverContext:
                 return {}
             from fenicsx_obstacle.scenes.functionals import Report
 
-            return Report(problem.data, scene).evaluate(
-                state.u, state.pressure, state.touching, problem.elastic.array_r
-            )
+            return _evaluated(Report(problem.data, scene), problem, state)
 
         try:
             found = []
@@ -262,26 +261,9 @@ class SolverContext:
         """The answer with its errors, if the scene has an exact solution (collective)."""
         return answer if self.exact is None else _with_errors(answer, self.exact)
 
-    def _at_rest(
-        self, levels: Levels, options: SolverOptions, near: np.ndarray | None, monitor: StepMonitor | None
-    ) -> Solved:
-        """Solve from a near solution, that on a coarser mesh, or the coarsest level on (collective)."""
-
-        def begin(_: float | None) -> None:
-            assert near is not None
-            self.problem.set_reference(near)
-
-        ready = self._ready if len(levels) > 1 else 0
-        start = None if near is None else begin
-        return solve(levels, options, start=start, ready=ready, monitor=monitor)
-
     def _reported(self, state: State) -> dict[str, float | None]:
         """The output quantities of [report] (collective)."""
-        if self._report is None:
-            return {}
-        time_, support = self.problem.model.time, self.problem.elastic.array_r
-        share = 1.0 if time_ is None else time_.share
-        return self._report.evaluate(state.u, state.pressure, state.touching, support * share)
+        return {} if self._report is None else _evaluated(self._report, self.problem, state)
 
     def _above(self, before: SolverContext) -> Levels:
         """The levels of the mesh below, which holds its solution, with those of this mesh (collective)."""
@@ -361,6 +343,12 @@ class SolverContext:
         return Answer(
             problem.level, state.u, state.pressure, state.touching, *shown, (), {}, tension=tension, scene=self.scene
         )
+
+
+def _evaluated(report: Report, problem: Problem, state: State) -> dict[str, float | None]:
+    """The output quantities of [report] of a solved problem (collective)."""
+    share = 1.0 if problem.model.time is None else problem.model.time.share
+    return report.evaluate(state.u, state.pressure, state.touching, problem.elastic.array_r * share)
 
 
 def _with_errors(answer: Answer, exact: Exact) -> Answer:
