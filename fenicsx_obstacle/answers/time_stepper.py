@@ -262,18 +262,16 @@ class TimeStepper:
         comm = problem.level.comm
         height = largest(comm, u) - smallest(comm, u)
         size = max(height, largest(comm, np.abs(u)))
-        found = worst(problem.data, beyond, CROSSES * size)
-        if found is not None:
-            _, point, dof = found
-            mine = None
-            if dof is not None:
-                below = lower[dof] > u[dof]
-                side, limit, of_both = ("below the lower", lower, "max") if below else ("above the upper", upper, "min")
-                mine = (
-                    f"lies {side} obstacle: {u[dof]:.6g} against {limit[dof]:.6g} at {problem.data.place(point)}; take "
-                    f"a start between the obstacles, for example {of_both}(a, b) of both formulas"
-                )
-            raise InputError(f"{start}: {first_given(comm, mine)}")
+
+        def words(dof: int, place: str) -> str:
+            below = lower[dof] > u[dof]
+            side, limit, of_both = ("below the lower", lower, "max") if below else ("above the upper", upper, "min")
+            return (
+                f"lies {side} obstacle: {u[dof]:.6g} against {limit[dof]:.6g} at {place}; take "
+                f"a start between the obstacles, for example {of_both}(a, b) of both formulas"
+            )
+
+        self._reject_start(beyond, CROSSES * size, words)
         return np.clip(u, lower, upper)
 
     def _check_edge(self, u: np.ndarray) -> None:
@@ -283,23 +281,28 @@ class TimeStepper:
         Raises:
             InputError: Naming place and values.
         """
-        data, start = self.problem.data, self.moments.start
+        data = self.problem.data
         (dofs, values), comm = data.fixed, data.level.comm
         off = np.full(len(u), -np.inf)
         off[dofs] = np.abs(u - values.x.array)[dofs]
         size = largest(comm, np.abs(np.concatenate([u, values.x.array[dofs]])))
-        found = worst(data, off, CROSSES * size)
-        if found is None:
-            return
-        _, point, dof = found
-        mine = None
-        if dof is not None:
+
+        def words(dof: int, place: str) -> str:
             name = giver(data, dof).removeprefix(f"{data.model.source}: ")
-            mine = f"is {u[dof]:.6g} at {data.place(point)}, where {name} gives {values.x.array[dof]:.6g}"
-        raise InputError(
-            f"{start}: {first_given(comm, mine)}; "
-            "with inertia such a jump has infinite energy: both must agree at t = 0, so change one"
-        )
+            return (
+                f"is {u[dof]:.6g} at {place}, where {name} gives {values.x.array[dof]:.6g}; "
+                "with inertia such a jump has infinite energy: both must agree at t = 0, so change one"
+            )
+
+        self._reject_start(off, CROSSES * size, words)
+
+    def _reject_start(self, beyond: np.ndarray, tolerance: float, words: Callable[[int, str], str]) -> None:
+        """Raise an error with words about the worst dof, if a nodal number is beyond its tolerance (collective)."""
+        data = self.problem.data
+        if (found := worst(data, beyond, tolerance)) is not None:
+            _, point, dof = found
+            mine = None if dof is None else words(dof, data.place(point))
+            raise InputError(f"{self.moments.start}: {first_given(data.level.comm, mine)}")
 
     def _velocity(self) -> np.ndarray | None:
         """u_t at t = 0, ghosts included, with inertia."""

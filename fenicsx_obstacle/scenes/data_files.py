@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,63 +16,54 @@ from fenicsx_obstacle.measured.table import Table
 PREFIX = "data-"  # of the names of these files
 
 
-class DataFiles:
-    """Measured data of a scene, by the names of their files beside the saved scene.
+def with_files(
+    raw: Mapping[str, Any], folder: Path, objects: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Tables of a scene with the names of files beside the saved scene, and what is in each file (rank 0 reads them).
 
-    Attributes:
-        contents: What is in each file.
+    Args:
+        raw: The tables.
+        folder: Where relative names of files in them start.
+        objects: Data that are no numbers or formulas, by the names that stand for them.
+
+    Raises:
+        InputError: If a file cannot be read.
     """
+    contents, names = dict[str, bytes](), dict[Any, str]()
 
-    def __init__(self, folder: Path, objects: Mapping[str, Any]):
-        """Begin with none.
+    def named(key: Path | str, wanted: str, content: Callable[[], bytes]) -> str:
+        """The name of a file, whose content is taken where it has none yet."""
+        if key not in names:
+            names[key] = free = PREFIX + wanted.removeprefix(PREFIX)
+            number = 1
+            while names[key] in contents:
+                number += 1
+                names[key] = f"{Path(free).stem}-{number}{Path(free).suffix}"
+            contents[names[key]] = content()
+        return names[key]
 
-        Args:
-            folder: Where relative names of the scene start.
-            objects: Its data that are no numbers or formulas, by the names that stand for them.
-        """
-        self.contents: dict[str, bytes] = {}
-        self._folder, self._objects = folder, objects
-        self._names: dict[Any, str] = {}
-
-    def renamed(self, raw: Mapping[str, Any]) -> dict[str, Any]:
-        """Tables of a scene with the names of these files (rank 0 reads the files).
-
-        Raises:
-            InputError: If a file cannot be read.
-        """
-        return {key: value if key == "mesh" else self._with_names(value) for key, value in raw.items()}
-
-    def _with_names(self, value: Any) -> Any:
-        if isinstance(value, dict):
-            found = {key: self._with_names(part) for key, part in value.items()}
-            return found | ({"file": self._of_file(value["file"])} if isinstance(value.get("file"), str) else {})
-        if isinstance(value, list | tuple):
-            return [self._with_names(part) for part in value]
-        table = self._objects.get(value) if isinstance(value, str) else None
-        return {**table.in_toml, "file": self._of_arrays(value, table)} if isinstance(table, Table) else value
-
-    def _of_file(self, file: str) -> str:
-        path = self._folder / file
+    def of_file(path: Path) -> str:
         try:
-            return self._named(path, path.name, path.read_bytes)
+            return named(path, path.name, path.read_bytes)
         except (OSError, ValueError) as error:
             raise InputError(f"{path}: {getattr(error, 'strerror', error)}") from None
 
-    def _of_arrays(self, key: str, table: Table) -> str:
-        def archive() -> bytes:
-            packed = BytesIO()
-            np.savez_compressed(packed, **table.arrays)
-            return packed.getvalue()
+    def renamed(value: Any) -> Any:
+        if isinstance(value, dict):
+            found = {key: renamed(part) for key, part in value.items()}
+            return found | ({"file": of_file(folder / value["file"])} if isinstance(value.get("file"), str) else {})
+        if isinstance(value, list | tuple):
+            return [renamed(part) for part in value]
+        table = objects.get(value) if isinstance(value, str) else None
+        if not isinstance(table, Table):
+            return value
+        return {**table.in_toml, "file": named(value, "arrays.npz", partial(_archive, table))}
 
-        return self._named(key, "arrays.npz", archive)
+    return {key: value if key == "mesh" else renamed(value) for key, value in raw.items()}, contents
 
-    def _named(self, key: Any, name: str, content: Any) -> str:
-        """The name of a file, which is read where it has none yet."""
-        if key not in self._names:
-            free = wanted = PREFIX + name.removeprefix(PREFIX)
-            number = 1
-            while free in self.contents:
-                number += 1
-                free = f"{Path(wanted).stem}-{number}{Path(wanted).suffix}"
-            self._names[key], self.contents[free] = free, content()
-        return self._names[key]
+
+def _archive(table: Table) -> bytes:
+    """The arrays of measured data, as the content of a file."""
+    packed = BytesIO()
+    np.savez_compressed(packed, **table.arrays)
+    return packed.getvalue()

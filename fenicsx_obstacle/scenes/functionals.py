@@ -73,14 +73,10 @@ class Report:
             InputError: For an unknown part of the mesh, a wrong number of coordinates, a point outside, a distance on a
                 mesh that has none.
         """
-        dim = self.level.mesh.geometry.dim
-        if self.data.model.elastic.role != "tension":
-            for formula in self.scene.report.values():
-                if {"flux", NORMAL_FLUX, JUMP} & formula.names:
-                    raise InputError(
-                        f"{formula.place}: flux needs an isotropic tension that does not depend on the slope"
-                    )
+        dim, with_flux = self.level.mesh.geometry.dim, self.data.model.elastic.role == "tension"
         for formula in self.scene.report.values():
+            if not with_flux and {"flux", NORMAL_FLUX, JUMP} & formula.names:
+                raise InputError(f"{formula.place}: flux needs an isotropic tension that does not depend on the slope")
             if "distance" in self.scene.needs(formula):
                 try:
                     _ = self.data.boundary_distance  # rejects a mesh on which there is none

@@ -17,7 +17,7 @@ from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import tables
-from fenicsx_obstacle.scenes.data_files import DataFiles
+from fenicsx_obstacle.scenes.data_files import with_files
 from fenicsx_obstacle.scenes.definitions import Definitions
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, plain
@@ -303,9 +303,8 @@ class Scene(Definitions):
         Raises:
             InputError: If a file cannot be read any more.
         """
-        kept = DataFiles(self.folder, self.objects)
-        raw = kept.renamed(msgspec.to_builtins(self.tables))
-        return msgspec.toml.encode(tables.checked(raw, self.source)).decode(), kept.contents
+        raw, contents = with_files(msgspec.to_builtins(self.tables), self.folder, self.objects)
+        return msgspec.toml.encode(tables.checked(raw, self.source)).decode(), contents
 
 
 def _eps(given: Definitions, value: float | str) -> float | str | EpsFormula:
