@@ -52,6 +52,7 @@ class Scene(Definitions):
     """The description of an obstacle problem: mesh, data, output quantities and solver options.
 
     Make it by `Scene(mesh=..., tension=1, lower="0.3 - x^2")` or `Scene.read("ball.toml")`, and solve it by `solve`.
+    It has all attributes of `Definitions`, such as `tables`.
 
     Attributes:
         effects: One object per effect that the scene names.
