@@ -214,6 +214,7 @@ def test_tables_of_effects_are_checked():
         ({"stiffness": 1}, "needs lower or upper"),
         ({"lower": 1}, "the key 'stiffness' is missing"),
         ({"stiffness": 1, "lover": 1}, "unknown key 'lover'"),
+        ({"stiffness": 1, "lower": 0, "eps": 1}, "unknown key 'eps'"),
         ({"stiffness": 1, "lower": "q"}, "unknown name 'q'"),
     ):
         with pytest.raises(InputError, match=message):
@@ -301,6 +302,7 @@ def test_point_loads_that_mean_nothing():
         ([{"at": [2, 2], "force": 1}], r"the point \(2, 2\) is outside the mesh"),
         ([{"at": [0.5], "force": 1}], "a point needs 2 coordinates here, not 1"),
         ([{"at": [0.5, 0.5]}], "the key 'force' is missing"),
+        ([{"at": [0, 0], "force": 1, "radius": 1}], "unknown key 'radius' .known: at"),
         (3, "expected a list such as"),
         ([{"at": [0.5, "x"], "force": 1}], "unknown name 'x'"),
     ):
@@ -584,6 +586,9 @@ def test_slopes_that_mean_nothing():
     for effects, message in (
         ({"large_slope": 1, "tension": 1}, "names large_slope and tension: only one of them is allowed"),
         ({"large_slope": 1, "drift": [1, 0]}, "drift can only be combined with tension, not with large_slope"),
+        ({"power_law": {"exponent": 3}, "tension": 1}, "names power_law and tension: only one of them is allowed"),
+        ({"power_law": {"exponent": 3}, "large_slope": 1}, "only one of them is allowed"),
+        ({"power_law": {"exponent": 3, "n": 3}}, "unknown key 'n' .known: exponent, coefficient, regularisation"),
         ({"power_law": {"exponent": 4}}, "must be between 1 and 4, which are excluded: .*ObstacleProblem"),
         ({"power_law": {"exponent": 3, "regularisation": 0}}, "must be positive"),
         ({"large_slope": "x - 0.5"}, "must be positive"),
@@ -607,33 +612,6 @@ def test_demo_soap():
     changes = {"mesh": {"shape": "interval", "cells": 128}, "effects.axial_symmetry": True}
     radius = scene.change({**changes, "boundary": [{"on": "right", "value": 0}], "report": {}})
     assert np.isclose(solve(radius).record["contact"]["lower"]["force"], 0.4, rtol=1e-3)
-
-
-SCENES = {
-    "membrane": (membrane(load=-1, lower=-0.01), ["tension", "load"]),
-    "no obstacle": (membrane(load=-1), ["tension", "load"]),
-    "bed": (membrane(foundation=1, lower=0), ["tension", "foundation"]),
-    "awning": (Scene.read(DEMOS / "awning.toml"), ["tension", "load", "spring", "flux"]),
-    "foam": (Scene.read(DEMOS / "foam.toml"), ["tension", "load", "soft_obstacle"]),
-    "tent": (Scene.read(DEMOS / "tent.toml"), ["tension", "load"]),
-    "soap": (Scene.read(DEMOS / "soap.toml"), ["large_slope"]),
-    "drum": (Scene.read(DEMOS / "drum.toml"), ["tension", "load"]),
-    "wall": (Scene.read(DEMOS / "wall.toml"), ["tension", "load"]),
-}
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_form_has_the_integrals_of_its_effects(name):
-    """One for each effect that is one, and `explain` counts them; the penalty is one more."""
-    scene, keys = SCENES[name]
-    scene = scene.change({"mesh.cells": 8})
-    with closing(SolverContext(scene)) as context:
-        assert len(context.problem.law._a_minus_f.integrals()) == len(keys)
-        constrained = context.problem.constrained
-    text = " ".join(explain(scene).split())
-    count = len(keys) + constrained
-    assert f"{count} integral" in text and all(f"{key}:" in text for key in keys)
-    assert ("the penalty included" in text) == constrained
 
 
 def figures_of(scene):

@@ -1,20 +1,18 @@
 """What `explain` says, held against what a solve does; and that what a scene does not name costs nothing."""
 
 import gc
-import subprocess
-import sys
 from contextlib import closing
 
 import pytest
 from dolfinx import fem
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.hierarchy import nested
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.scenes import tables
 from fenicsx_obstacle.show.explain import explain, explained, integrals
-from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.conftest import COMM, DEMOS, membrane, slow_except
 
 OF_BODIES = {"elasticity", *tables.OF_BODIES}  # which scalar scenes cannot name
 SCENES = {
@@ -81,22 +79,6 @@ def test_lake_costs_one_linear_solve(method):
         assert "one linear solve without contact" in explain(scene)
 
 
-def test_unknown_keys_of_tables():
-    """A key that an effect's table does not know is refused with those that it knows."""
-    for effects, message in (
-        (
-            {"tension": 1, "soft_obstacle": {"stiffness": 1, "lower": 0, "eps": 1}},
-            "unknown key 'eps'",
-        ),
-        ({"tension": 1, "point_load": [{"at": [0, 0], "force": 1, "radius": 1}]}, "unknown key 'radius' .known: at"),
-        ({"power_law": {"exponent": 3, "n": 3}}, "unknown key 'n' .known: exponent, coefficient, regularisation"),
-        ({"power_law": {"exponent": 3}, "tension": 1}, "names power_law and tension: only one of them is allowed"),
-        ({"power_law": {"exponent": 3}, "large_slope": 1}, "only one of them is allowed"),
-    ):
-        with pytest.raises(InputError, match=message):
-            Scene(mesh={"shape": "rectangle", "cells": 4}, **effects)
-
-
 def functions_of(scene):
     """How many Functions a solve leaves alive, with the problem."""
     gc.collect()
@@ -113,29 +95,3 @@ def test_arrays_of_an_effect_are_its_own():
     functions_of(plain)
     counts = [functions_of(scene) for scene in (plain, bed, plain)]
     assert counts[0] == counts[2] < counts[1]
-
-
-AFTER_A_SOLVE = """
-import sys
-from fenicsx_obstacle import Scene, solve
-if sys.argv[1:]:
-    from fenicsx_obstacle.effects.plugin import load_plugin
-    load_plugin(sys.argv[1])
-answer = solve(Scene(mesh={"shape": "rectangle", "cells": 16}, tension=1, load=-1, lower=-0.02))
-print(answer.record["newton_total"], answer.record["krylov_total"], repr(answer.record["energy"]))
-print(*sorted(sys.modules), file=sys.stderr)
-"""
-
-
-@pytest.mark.serial
-def test_a_plugin_that_is_not_named(tmp_path):
-    """Registered by a file and named by no scene: the same steps, energy and modules but its own loader."""
-    text = (DEMOS.parent / "docs" / "effects.md").read_text().partition("```python\n")[2].partition("```")[0]
-    (tmp_path / "hardening.py").write_text(text)
-    done = [subprocess.run([sys.executable, "-c", AFTER_A_SOLVE, *plugin], capture_output=True, text=True, env=CLEAN,
-                           timeout=100, check=True)
-            for plugin in ((), (str(tmp_path / "hardening.py"),))]  # fmt: skip
-    assert done[0].stdout == done[1].stdout
-    modules = [set(one.stderr.split()) for one in done]
-    assert modules[1] - modules[0] == {"fenicsx_obstacle.effects.plugin", "fenicsx_obstacle_plugin_hardening"}
-    assert modules[0] <= modules[1]

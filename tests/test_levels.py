@@ -173,29 +173,6 @@ def test_parts_of_a_file_halved_several_times(folder):
         assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
 
 
-@pytest.mark.slow
-def test_broken_mesh_files(folder):
-    on_root(COMM, gmsh_square, folder / "quads.msh", 1, True)
-
-    def write():
-        (folder / "broken.msh").write_text("$MeshFormat\n4.1 0 8\nnonsense")
-        (folder / "broken.xdmf").write_text("<Xdmf><Domain>")
-        (folder / "mesh.stl").write_text("solid")
-
-    on_root(COMM, write)
-    cases = {
-        "broken.msh": "holds no cells|cannot read",
-        "broken.xdmf": "not XDMF",
-        "mesh.stl": "ends in .msh",
-    }
-    for name, message in cases.items():
-        with pytest.raises(InputError, match=message) as caught:
-            solve(Scene(mesh={"file": str(folder / name)}, tension=1))
-        assert name in str(caught.value)
-    with pytest.raises(InputError, match="not for a quadrilateral: take Q1 or"):
-        solve(Scene(mesh={"file": str(folder / "quads.msh")}, tension=1), element="P1")
-
-
 def test_xdmf_with_numbered_tags(folder):
     """XDMF has no names: the numbers of its tags serve."""
     from dolfinx import io
@@ -215,18 +192,6 @@ def test_xdmf_with_numbered_tags(folder):
     boundary = [{"on": "3", "value": 0}, {"where": "x == 1", "value": 1}]
     scene = Scene(mesh={"file": str(folder / "square.xdmf")}, tension=1, boundary=boundary, exact="x")
     assert solve(scene).record["errors"]["max"] < 1e-9
-
-
-def test_own_mesh():
-    """A DOLFINx mesh of the caller's own: P1 on triangles, Q1 on quadrilaterals, for which P1 is refused."""
-    from dolfinx import mesh as dmesh
-
-    answer = solve(Scene(mesh=dmesh.create_unit_square(COMM, 5, 5), tension=1, load=1))
-    assert answer.record["cells_total"] == 50
-    squares = Scene(mesh=dmesh.create_unit_square(COMM, 3, 3, cell_type=dmesh.CellType.quadrilateral), tension=1)
-    assert solve(squares).record["element"] == "Q1"
-    with pytest.raises(InputError, match=r"element P1 is for .* not for a quadrilateral"):
-        solve(squares, element="P1")
 
 
 GEO = """

@@ -154,6 +154,9 @@ def test_named_parts_are_saved(element, cell, folder):
     mu = {"soft": 1, "hard": STIFF}
     scene = own.scene(tension=mu, facet_names={"rim / left": 1, "rim": 1, "both": [1, 2]}).change({"solve.eps": 1e-6})
     answer = solve(scene, element=element)
+    if cell == "quadrilateral":
+        with pytest.raises(InputError, match=r"element P1 is for .* not for a quadrilateral"):
+            solve(scene, element="P1")
     answer.save(folder)
     read = Answer.read(folder)
     half = 32 if cell == "quadrilateral" else 64
