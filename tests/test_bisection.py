@@ -40,6 +40,7 @@ def refined(comm, mesh, times=4):
     return level
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", MESHES)
 def test_meshes_fit_and_are_the_same_on_all_ranks(name):
     """Cells fill the domain, vertices are those of one rank, and angles stay away from 0."""

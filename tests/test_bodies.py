@@ -488,6 +488,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", MISTAKES)
 def test_what_is_rejected(name):
     """One message with the place and the remedy."""

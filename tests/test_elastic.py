@@ -436,6 +436,7 @@ def test_of_may_be_the_present_place():
     assert np.isclose(one, below.force.lower, rtol=1e-9)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -467,6 +468,7 @@ def wrongly_tagged(body, other):
     return ufl.Measure("ds", domain=body.mesh, subdomain_data=other.ds.subdomain_data())(3)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -152,6 +152,7 @@ def test_materials_by_name():
     assert largest(COMM, np.abs(taken - np.where(points < 0.5, 2.0, 1 + points))) <= 1e-12
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("value", "message"),
     [

@@ -100,6 +100,7 @@ def test_plot_along(folder):
             CliRunner().invoke(commands, ["plot", str(folder), "--along", line], catch_exceptions=False)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("table", "message"),
     [

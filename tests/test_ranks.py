@@ -21,6 +21,7 @@ from fenicsx_obstacle.parallel import agree, on_root, warn
 from tests.conftest import DEMOS
 from tests.test_cli import run
 
+pytestmark = pytest.mark.ranks
 COMM = MPI.COMM_WORLD
 GHOSTS = dmesh.GhostMode
 TRIANGLES, QUADRILATERALS = dmesh.CellType.triangle, dmesh.CellType.quadrilateral

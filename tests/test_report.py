@@ -158,6 +158,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes(name):
     text, message = MISTAKES[name]

@@ -259,6 +259,7 @@ FORGED = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("what", slow_except(DAMAGE, *list(DAMAGE)[:5]))
 def test_forged_fields_are_refused(what, saved, folder):
     """Without contents to compare with: one message on all ranks, no hang, nothing from other files."""

@@ -120,6 +120,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes(name, folder):
     """Exit status 2, on every rank the same words."""

@@ -195,6 +195,7 @@ def test_steps_do_not_depend_on_the_size(how):
     assert max(steps) <= 4
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("given", "words"),
     [
@@ -228,6 +229,7 @@ def test_an_error_on_one_rank_is_one_on_all():
         solve_system(A, f)
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("bad", [0.0, np.inf, np.nan])
 def test_a_diagonal_that_has_collapsed_is_seen_on_all_ranks(bad):
     """The row of one rank ends the linear solver on all: BoomerAMG would end it on that rank alone."""

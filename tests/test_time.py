@@ -364,6 +364,7 @@ REJECTED = {
 }  # fmt: skip
 
 
+@pytest.mark.ranks
 @pytest.mark.parametrize("words", REJECTED)
 def test_refused(words):
     """What contradicts itself is told, on all ranks, also where only a later moment shows it."""
