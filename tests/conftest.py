@@ -50,7 +50,7 @@ def pytest_configure(config: pytest.Config) -> None:
     )
     config.addinivalue_line("markers", "slow: runs with './obstacle test --all' only")
     config.addinivalue_line("markers", "ranks: each of its cases runs on several ranks, in place of the first and last")
-    config.addinivalue_line("markers", "variant: a case beside the quick ones; runs on one rank, and where it is named")
+    config.addinivalue_line("markers", "variant: slow beside others of its subject; on one rank, and where it is named")
 
 
 @pytest.hookimpl(trylast=True)

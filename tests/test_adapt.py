@@ -44,6 +44,7 @@ def test_a_saved_tolerance_reads_back(folder):
     assert [mesh.dofs for mesh in again.adaptive.path][-1] == again.dofs == answer.dofs
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_reentrant_corner():
     """L-shape: graded meshes reach an error of .099 of the bound's kind with a fraction of the uniform unknowns."""

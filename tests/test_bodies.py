@@ -103,6 +103,7 @@ def test_a_scene_is_its_obstacle_problem():
     assert np.allclose(nodes.forces, by_hand.forces, atol=1e-9 * np.abs(by_hand.forces).max())
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", ["hertz_cylinder", "hertz_sphere", "hertz_solid"])

@@ -77,6 +77,7 @@ def test_pulses(kind, scheme):
     assert "remarks" not in answer.record
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_oscillation():
     """A load that is 0 at the ends of all first steps, whose length is its period."""
@@ -86,6 +87,7 @@ def test_oscillation():
     )
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_data_that_cause_no_shorter_steps():
     """Data that do not depend on t, or are monotone in a step: the steps are those of the error estimate alone."""
@@ -94,6 +96,7 @@ def test_data_that_cause_no_shorter_steps():
         assert record["time"]["shortened"] == 0 and "remarks" not in record
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("sign", "place"), [(-1, ""), (1, " + 0*x")])  # the same number, or one at each node
 def test_obstacles_that_u_does_not_reach(sign, place):
@@ -109,6 +112,7 @@ def test_obstacles_that_u_does_not_reach(sign, place):
         assert (record["time"]["shortened"] > 0) == touches
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_steps_of_smooth_data():
     """Where the error estimate has chosen the steps, smooth data shorten few of them."""
@@ -116,6 +120,7 @@ def test_steps_of_smooth_data():
     assert time["shortened"] <= 0.05 * time["steps"]
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.1, 0.005])
 def test_callables_are_sampled(dt):

@@ -186,6 +186,7 @@ def test_flat_punch(method):
     assert np.allclose(p[inner], -2 * load * DEPTH / (np.pi * np.sqrt(1 - x[inner] ** 2)), rtol=5e-2)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell", "degree"), ELEMENTS[:4])
 def test_order_in_h(cell, degree):
@@ -267,6 +268,7 @@ def test_saved_and_read(cell, degree, folder):
         compare(again, solution)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_picture(dim, folder):

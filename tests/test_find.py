@@ -34,6 +34,7 @@ def string(**changes):
     return Scene(**{**tables, **changes})
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_journal_bearing():
     """The eccentricity for a Sommerfeld number of .1212 within 1e-4 of finite volumes, in at most 8 solves."""

@@ -112,6 +112,7 @@ def comb(n: int) -> dmesh.Mesh:
     return by_hand(points, cells)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("element", "lower"), [("P1", -10), ("P1", -3), ("P2", -10)])
 def test_a_box_that_slits_cut(element, lower):
@@ -136,6 +137,7 @@ def test_a_box_that_slits_cut(element, lower):
     assert answers[1].bound.total < 0.8 * answers[0].bound.total
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_an_undecided_load_does_not_change_the_solution():
     """A load that intervals do not decide at any depth keeps its samples; its bounds only add to the error bound."""

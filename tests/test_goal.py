@@ -39,6 +39,7 @@ def test_force():
     assert "relative tolerance 0.01 for force is reached" in answer.summary()
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("scene", "name", "exact"), [
     (ROUND_BAR, "torque", TORQUE),
@@ -65,6 +66,7 @@ def test_digits(value, error, words):
     assert with_error(value, error) == words
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_penalty_is_small_beside_the_mesh():
     """The volume of `nsv` at the tolerance where the parts of mesh and penalty cancelled: the estimate is near the true
@@ -169,6 +171,7 @@ def test_the_same_on_all_ranks():
     assert one.goal.error == pytest.approx(all_.goal.error, rel=1e-4)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [0.49, 0.505])
 def test_data_that_jump_inside_cells(place):
@@ -180,6 +183,7 @@ def test_data_that_jump_inside_cells(place):
     assert abs(found["value"] - truth) <= 3 * found["error"]
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("strip", "cells"), [((0.123, 0.1277), 50), ((0.407, 0.6092), 32)])
 def test_a_strip_inside_cells_is_not_settled(strip, cells):

@@ -97,6 +97,7 @@ def test_no_known_error_is_above_its_bound(name):
         assert bound.penalty < 1e-5 * bound.total and bound.algebraic < 1e-8 * bound.total
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_adaptive_order():
     """Refined where the bound says so, the energy error of the ball falls faster than N^(-1.7/2), with its bound; on
@@ -115,6 +116,7 @@ def test_adaptive_order():
     assert np.log(first / second) / np.log(4) == pytest.approx(1.5, abs=0.2)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "cone", "two_obstacle_square"])
 def test_estimates_from_samples_are_near_the_bound(name):
@@ -129,6 +131,7 @@ def test_estimates_from_samples_are_near_the_bound(name):
         assert context.estimator.bound().total == bound.total
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_the_last_mesh_has_a_bound():
     """On the meshes before it the error is estimated, unless there is a budget."""
@@ -162,6 +165,7 @@ def test_the_same_on_any_number_of_ranks():
         assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-8)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_free_sides_and_other_effects():
     """Nothing leaves through free sides; effects besides tension and load are refused, and surfaces in space."""

@@ -84,6 +84,7 @@ def test_study_page_holds_everything(study_page, disk):
     assert f"./obstacle{ranks} study disk.toml --eps '1/2 * h^2'" in words
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_text_of_the_scene_is_escaped(folder):
     answer = solve(membrane(load=1, upper="where(x < 0.5, 0.01, 0.02)", title=NASTY, u=NASTY))
@@ -115,6 +116,7 @@ def test_a_browser_shows_it(study_page, tmp_path):
     assert red.sum() > 1000
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_page_of_a_linear_problem(folder):
     """No obstacle: no contact to draw, and still a page."""
@@ -125,6 +127,7 @@ def test_page_of_a_linear_problem(folder):
         self_contained(Page((folder / "out" / "report.html").read_text()))
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_no_picture_is_better_than_an_earlier_one(folder):
     """A new answer in the folder of an old one: the old picture goes, and the page shows none."""
@@ -142,6 +145,7 @@ def test_no_picture_is_better_than_an_earlier_one(folder):
     assert re.search(r"Report mean ?0\.03\d+ none ?not finite Output quantities cells, unknowns", text), text
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_long_lines_wrap(study_page):
     """Texts do not scroll sideways; columns are explained."""

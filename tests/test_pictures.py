@@ -54,6 +54,7 @@ def test_cuts_of_a_linear_function_are_exact():
         assert np.isclose(measure(zero(cube, plane)), expected)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("upper", "named"), [(0.002, True), (0.2, False)])
 def test_legend_names_what_is_drawn(upper, named):
@@ -192,6 +193,7 @@ def seen(patch, kind, shown, monkeypatch):
     return plotter, view
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("side", ["lower", "upper"])
 def test_contact_is_drawn_on_the_obstacle(side, monkeypatch):
@@ -216,6 +218,7 @@ def test_contact_is_drawn_on_the_obstacle(side, monkeypatch):
     assert np.isclose(contact.area + free.area, 1, rtol=1e-5)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_an_obstacle_outside_the_picture_is_not_drawn(monkeypatch):
     """Of two obstacles the far one is outside the box around u: the other one is drawn, and the contact."""
@@ -229,6 +232,7 @@ def test_an_obstacle_outside_the_picture_is_not_drawn(monkeypatch):
     assert len(plotter.with_look(scalars="pressure")) == 1
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_a_solid_is_cut_open_without_slivers(monkeypatch):
     """A cut through a whole layer of nodes: none of its triangles is without area, and together they are the cut."""
@@ -303,6 +307,7 @@ def cylinder():
     return releases.create_mesh(COMM, cells[mine].astype(np.int64), points[mine], "triangle")
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_a_surface_in_space_has_a_picture(folder):
     answer = solve(Scene(mesh=cylinder(), tension=1, load="3*y", lower=0, u="film pressure"), eps=1e-4)
@@ -312,6 +317,7 @@ def test_a_surface_in_space_has_a_picture(folder):
     assert np.count_nonzero((picture[..., 0] > 0.4) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.3)) > 1000
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
     """Matplotlib draws the map alone, and says why."""

@@ -24,6 +24,7 @@ sys.path.insert(0, str(DEMOS))
 TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 def test_petsc_defaults_give_wrong_answers_as_converged_and_ours_do_not(ball):
     """||F_0|| ~ 1/eps makes PETSc's relative test pass far from the solution."""
@@ -83,6 +84,7 @@ def test_units_do_not_matter(method, u_values, shift):
     assert np.isclose(ours["contact"]["area"], plain["contact"]["area"], rtol=1e-9)
 
 
+@pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", slow_except([1e-9, 1e9], 1e9))
 def test_stiffness_does_not_matter(disk, factor):
