@@ -292,6 +292,7 @@ def test_equilibria_in_time(folder):
 
 
 @pytest.mark.parametrize(("element", "steps", "frames", "kept"), [("P2", 4, 1, [0, 1, 2]), ("P1", 4, 0, [1])])
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_pictures_show_the_largest_load(element, steps, frames, kept, folder):
     """A plane presses the body, most at t = 1, and leaves it at t = 2. The fields of t = 1 are saved, whatever else
     is; pictures and profiles show them, also of the folder, on any number of ranks: p = E d/(1 + eps E)."""

@@ -141,7 +141,7 @@ PARAMETERS = {
 }
 STRING, SQUARE = (80, 320), (16, 32, 64, 128)
 GRIDS = {
-    "disk_mu_jump": range(32, 136, 8),
+    "disk_mu_jump": range(32, 136, 16),
     "string_mu_jump": (20, 80),  # with 320 cells the line search of SNES VI gives up
     "ring_wedge": (32, 64, 128, 256),  # orders of 1/2: the errors of its ring in the grid vary most
 }

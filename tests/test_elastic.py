@@ -271,6 +271,7 @@ def test_saved_and_read(cell, degree, folder):
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_picture(dim, folder):
     """The deformed body with its stress, the obstacle, and the pressure: a page with axes for each."""
     body = Box(6, dim)

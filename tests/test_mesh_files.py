@@ -548,8 +548,7 @@ SIZED = {  # ways by which a .geo depends on another file, which says the size
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".geo", ".GEO"])
-@pytest.mark.parametrize("way", SIZED)
+@pytest.mark.parametrize(("way", "suffix"), [*((way, ".geo") for way in SIZED), ("include", ".GEO")])
 def test_a_mesh_is_of_the_files_as_they_are(folder, way, suffix):
     """Whatever file a .geo reads: when that changes the mesh does, and its content; the text of the .geo stays."""
     name, text, beside = SIZED[way]

@@ -57,6 +57,7 @@ def test_cuts_of_a_linear_function_are_exact():
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("upper", "named"), [(0.002, True), (0.2, False)])
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_legend_names_what_is_drawn(upper, named):
     """An obstacle far above u is outside of the picture, and not in its legend."""
     picture = solve(membrane(load=-8, lower=-0.1, upper=upper)).plot()
@@ -309,6 +310,7 @@ def cylinder():
 
 @pytest.mark.variant
 @pytest.mark.slow
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_a_surface_in_space_has_a_picture(folder):
     answer = solve(Scene(mesh=cylinder(), tension=1, load="3*y", lower=0, u="film pressure"), eps=1e-4)
     answer.plot(folder / "cylinder.png")

@@ -16,7 +16,7 @@ from tests.conftest import CLEAN, DEMOS, slow_except
 from tests.test_cli import run
 
 pytestmark = pytest.mark.serial
-STUDY = ["study", str(DEMOS / "disk.toml"), "--cells", "8", "--vary", "eps=1e-1,1e-3", "--output"]
+STUDY = ["study", str(DEMOS / "string.toml"), "--cells", "8", "--vary", "eps=1e-1,1e-3", "--output"]
 
 
 def on_terminal(*arguments, ranks=1):
@@ -50,7 +50,7 @@ def on_terminal(*arguments, ranks=1):
 def test_a_terminal_sees_what_is_solved(tmp_path):
     """The row's scene and values, and the step of the solver; the table stays on standard output."""
     stdout, seen = on_terminal(*STUDY, tmp_path / "out")
-    assert "disk: eps=0.1" in seen
+    assert "string: eps=0.1" in seen
     assert "1/2" in seen
     assert "step" in seen or "timing" in seen or "mesh" in seen
     assert "|u_eps-u_h|_a" in stdout

@@ -47,6 +47,7 @@ COMMANDS = {  # in this order: compare and plot take what solve has written
 
 
 @pytest.mark.serial
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_every_command(tmp_path, monkeypatch):
     """Each command of the register, on one rank, ends with status 0 and says something; 'demo' has its own test."""
     assert {*COMMANDS, "demo"} == set(commands.commands)
@@ -59,6 +60,7 @@ def test_every_command(tmp_path, monkeypatch):
 
 
 @pytest.mark.serial
+@pytest.mark.usefixtures("matplotlib_draws")
 def test_demo_on_few_cells(tmp_path, monkeypatch):
     """The command 'demo' with coarse meshes and short studies: four answers and three studies are saved."""
     monkeypatch.setattr(demo_module, "solve", lambda scene: solve(scene, cells=8))

@@ -24,8 +24,17 @@ from tests.test_cli import inside, run
 
 pytestmark = pytest.mark.serial
 
-STUDY = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=4,6,8,10,12,14,16", "--method", "vi"]
-LONG = [*STUDY[:3], "cells=8..256", "--method", "vi", "--start", "cold"]  # it has not ended when Ctrl-C comes
+STUDY = ["study", str(DEMOS / "string.toml"), "--vary", "cells=4,6,8,10,12,14,16", "--method", "vi"]
+LONG = [
+    "study",
+    str(DEMOS / "disk.toml"),
+    "--vary",
+    "cells=8..256",
+    "--method",
+    "vi",
+    "--start",
+    "cold",
+]  # it has not ended when Ctrl-C comes
 TIMES = ("seconds", "poisson", "memory", "run", "command", "krylov")  # what may differ between two runs
 
 
@@ -230,7 +239,7 @@ def _xdmf(folder, width):
 def _plugin(folder, factor):
     (folder / "mine.py").write_text(MINE.format(factor))
     (folder / "a.toml").write_text(
-        SIZED.format("").replace('file = ""', 'shape = "rectangle"\ncells = 8').replace("load", "mine = 20\nload")
+        SIZED.format("").replace('file = ""', 'shape = "interval"\ncells = 8').replace("load", "mine = 20\nload")
     )
 
 
