@@ -162,7 +162,7 @@ def test_budget_of_nothing(folder, monkeypatch):
     assert first["bound"]["words"].startswith("an indicator")
     assert all(change > 0 for change in first["changed"].values())
     monkeypatch.setattr(price, "TRUSTED", 1e9)
-    page = {name: drawn for name, _, drawn in drawings(rows)}["prices"]
+    page = dict(drawings(rows))["prices"]
     words = [text.get_text() for axes in page.axes for text in axes.texts]
     assert len(words) == 3 and all("all errors are smaller" in text for text in words)
 

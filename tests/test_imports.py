@@ -70,7 +70,7 @@ UNWANTED = {
     "bodies": package("answers", "bodies") | package("scenes", "bodies", "body_report") | package("forms", "elasticity")
     | package("discrete", "contact_nodes", "rigid", "vector_levels", "vector_problem")
     | package("problems", "vector_valued"),
-    "drift and parts of the boundary": package("discrete", "drift", "trapped_drift", "parts"),
+    "drift and parts of the boundary": package("discrete", "drift", "parts"),
 }  # fmt: skip
 EFFECTS = package("effects", "domain", "domain.tension", "effect", "field", "plugin")
 OF_SUPPORTS = package("effects", "boundary", "boundary.spring", "domain.foundation")

@@ -57,9 +57,9 @@ def test_cuts_of_a_linear_function_are_exact():
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("upper", "named"), [(0.002, True), (0.2, False)])
-@pytest.mark.usefixtures("matplotlib_draws")
 def test_legend_names_what_is_drawn(upper, named):
     """An obstacle far above u is outside of the picture, and not in its legend."""
+    pytest.importorskip("pyvista")
     picture = solve(membrane(load=-8, lower=-0.1, upper=upper)).plot()
     if COMM.rank == 0:
         labels = [text.get_text() for legend in picture.page.legends for text in legend.get_texts()]

@@ -23,7 +23,7 @@ def broken_files() -> Iterator[Broken]:
         ("a pipe that nobody writes to", os.mkfifo, []),
         ("a link to itself", lambda path: path.symlink_to(path.name), []),
         ("a device without end", lambda path: path.symlink_to("/dev/zero"), []),
-        ("empty", b"", ["[effects]"]),
+        ("empty", b"", ["[mesh]"]),
         ("a comment", b"# nothing\n", ["[effects]"]),
         ("Latin-1", 'title = "K\u00f6rper"\n'.encode("latin-1") + PLAIN, ["UTF-8"]),
         ("UTF-16", PLAIN.decode().encode("utf-16"), ["UTF-8"]),
