@@ -24,7 +24,7 @@ def broken_files() -> Iterator[Broken]:
         ("a link to itself", lambda path: path.symlink_to(path.name), []),
         ("a device without end", lambda path: path.symlink_to("/dev/zero"), []),
         ("empty", b"", ["[mesh]"]),
-        ("a comment", b"# nothing\n", ["[effects]"]),
+        ("a comment", b"# nothing\n", ["[mesh]"]),
         ("Latin-1", 'title = "K\u00f6rper"\n'.encode("latin-1") + PLAIN, ["UTF-8"]),
         ("UTF-16", PLAIN.decode().encode("utf-16"), ["UTF-8"]),
         ("random bytes", bytes(range(256)) * 8, []),
