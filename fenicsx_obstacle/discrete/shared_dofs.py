@@ -20,12 +20,21 @@ def without_cell(V: fem.FunctionSpace) -> np.ndarray:
     return found
 
 
+def _lost(V: fem.FunctionSpace) -> np.ndarray | None:
+    """Local nodes that no local cell has; None if there are none on any rank, as on one rank (collective)."""
+    if V.mesh.comm.size == 1:
+        return None
+    lost = without_cell(V)
+    return lost if total(V.mesh.comm, lost) > 0 else None
+
+
 def share(u: fem.Function) -> None:
     """Give all ranks the owner's value of each dof; of a dof that no cell of its owner has, a value of the ranks whose
     cells have it (collective)."""
     V = u.function_space
-    lost = np.repeat(without_cell(V), V.dofmap.index_map_bs)
-    if total(V.mesh.comm, lost) > 0:
+    nodes = _lost(V)
+    if nodes is not None:
+        lost = np.repeat(nodes, V.dofmap.index_map_bs)
         there = fem.Function(V)
         there.x.array[:] = np.where(lost, -np.inf, u.x.array)
         releases.vec(there).ghostUpdate(addv=PETSc.InsertMode.MAX, mode=PETSc.ScatterMode.REVERSE)
@@ -41,8 +50,8 @@ def points_of_nodes(V: fem.FunctionSpace) -> np.ndarray:
         points = V.mesh.geometry.x[releases.dof_nodes(V)]
     else:
         points = V.tabulate_dof_coordinates()
-    lost = without_cell(V)
-    if total(V.mesh.comm, lost) > 0:
+    lost = _lost(V)
+    if lost is not None:
         for k, coordinate in enumerate(points.T):
             known = fem.Function(V)
             at_nodes = known.x.array.reshape(len(points), V.dofmap.index_map_bs)

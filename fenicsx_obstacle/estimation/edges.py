@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
@@ -238,16 +239,27 @@ def boundary_jump(data: Data) -> str | None:
         data: On plane triangles.
     """
     level, (fixed, given) = data.level, data.fixed
-    values, dofs, x = given.x.array, releases.cell_dofs(level.V), corners(level.mesh)
-    part_of = last_on_sides(cell_facets(level.mesh)[: own_cells(level.mesh)], data.held)
+    values, near = given.x.array, _cells_beside(level.mesh, np.concatenate([*data.held, np.empty(0, dtype=np.int32)]))
+    dofs, x = releases.cell_dofs(level.V)[near], corners(level.mesh, near)
+    part_of = last_on_sides(cell_facets(level.mesh)[near], data.held)
     jumps = Jumps(data, max(largest(level.comm, np.abs(values[fixed])), 0.0))
     for number, part in enumerate(data.model.boundary):
         if part.value is not None:
-            cells, side = np.nonzero(part_of == number)
+            rows, side = np.nonzero(part_of == number)
             members = np.array(facet_vertices(2))[side]
-            ends = np.moveaxis(x[cells[:, None], members, :2], 1, 0)
-            jumps.look(part.value, Edges(ends[0], ends[1], cells), values[dofs[cells[:, None], members]])
+            ends = np.moveaxis(x[rows[:, None], members, :2], 1, 0)
+            jumps.look(part.value, Edges(ends[0], ends[1], near[rows]), values[dofs[rows[:, None], members]])
     return jumps.in_words()
+
+
+def _cells_beside(mesh: dmesh.Mesh, facets: np.ndarray) -> np.ndarray:
+    """The owned cells of local facets, each once (collective)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_connectivity(dim - 1, dim)
+    beside = mesh.topology.connectivity(dim - 1, dim)
+    cells, starts = np.asarray(beside.array), np.asarray(beside.offsets)
+    found = np.union1d(cells[starts[facets]], cells[starts[facets + 1] - 1])
+    return found[found < own_cells(mesh)]
 
 
 def cut_parts(simplices: Simplices) -> list[str]:
