@@ -54,6 +54,8 @@ def report_command(
         on_root(comm, (folder / "free_boundary.csv").unlink, True)
     else:
         write_free_boundary(answer, folder / "free_boundary.csv")
+    for name in (PICTURE, page.NAME):  # of an earlier answer: none is left where a new one cannot be written
+        on_root(comm, (folder / name).unlink, True)
     file = folder / PICTURE if picture and has_picture(answer) else None
     others = dict[str, Path]()
     if file is not None:
@@ -64,7 +66,6 @@ def report_command(
             said += "\n  " + draw_bound(answer.bound, gather(answer), comm, folder / NAME)
             others["Contribution of each cell to the bound"] = folder / NAME
     else:
-        on_root(comm, (folder / PICTURE).unlink, True)
         said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
     if newton:
         from fenicsx_obstacle.show.newton import animate_newton  # only if requested
