@@ -265,3 +265,20 @@ def test_the_data_determine_u_where_its_round_off_is_small_against_their_forces(
     system.set_reference(u[first:last])
     nowhere = np.zeros(last - first, dtype=np.int8)
     assert determined(system, nowhere, stiffness_of(system, exact_bounds=True), 0.0) is so
+
+
+def test_a_constant_in_u_takes_no_digit_from_the_energy():
+    """A chain of springs with one node on a support, and u = 1e6 plus a wave of size 1: the energy is that of the
+    differences, and of the support."""
+    n, c = 64, 1e6
+    wave, springs, (first, last) = np.sin(np.arange(n)), np.random.default_rng(1).uniform(0.1, 10, n - 1), owned(n)
+    ends = np.zeros((n - 1, n))
+    ends[np.arange(n - 1), np.arange(n - 1)], ends[np.arange(n - 1), np.arange(1, n)] = -1.0, 1.0
+    A = ends.T @ (springs[:, None] * ends)
+    A[0, 0] += 1e-9
+    own = last - first
+    system = MatrixSystem(distributed(A), np.zeros(own), weights=np.ones(own), fixed=np.zeros(own, dtype=bool),
+                          given=np.zeros(own), lower=np.full(own, -2 * c), upper=None)  # fmt: skip
+    system.set_reference((wave + c)[first:last])
+    true = (springs @ np.diff(wave) ** 2 + (A[0, 0] - springs[0]) * (wave[0] + c) ** 2) / 2
+    assert system.matrices.work() == pytest.approx(true, rel=1e-8)

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.algebra.state import State
 from fenicsx_obstacle.parallel import total
 
+CANCELLED = 1e-14  # of A_ii: a sum of the entries of a row that is round-off
 HELD = 1e16  # times the diagonal of a row whose solution is to be zero
 MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
 
@@ -118,13 +119,32 @@ class Affine:
         return self.work() + (self.penalty_energy() if penalised else 0.0)
 
     def work(self) -> float:
-        """u . A u/2 - f . u."""
+        """u . A u/2 - f . u, for a symmetric A.
+
+        A large constant in u, whose forces cancel in A, takes no digit from it: with u = v + c and the mean c,
+        u . A u = v . A v + c (A 1) . (2 v + c).
+        """
         u, force = self._scratch, self._constant.duplicate()
         np.add(self.state.w, self.state.r, out=u.array)
+        load = u.dot(self.minus_load)
+        sums, mean = self._row_sums(), u.sum() / max(u.getSize(), 1)
+        u.shift(-mean)
         self.stiffness.mult(u, force)
-        value = 0.5 * u.dot(force) + u.dot(self.minus_load)
+        value = 0.5 * (u.dot(force) + mean * total(self.comm, sums * (2 * u.array_r + mean))) + load
         force.destroy()
         return value
+
+    def _row_sums(self) -> np.ndarray:
+        """A 1 at owned dofs, 0 where it is round-off."""
+        one, sums = self._constant.duplicate(), self._constant.duplicate()
+        self.stiffness.getDiagonal(one)
+        least = CANCELLED * np.abs(one.array)
+        one.set(1.0)
+        self.stiffness.mult(one, sums)
+        found = np.where(np.abs(sums.array_r) > least, sums.array_r, 0.0)
+        for vector in (one, sums):
+            vector.destroy()
+        return found
 
     def penalty_energy(self) -> float:
         """I((u - g)^+ ^2, 1)/(2 eps)."""
