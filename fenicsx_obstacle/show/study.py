@@ -81,24 +81,25 @@ def report_find(search: Find, folder: Path, say: Say, *, fresh: bool = False) ->
 def _report(study: Study, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
     """Run a study, print its rows, and draw them into the folder of its store (collective)."""
     comm, folder, table = study.comm, store.folder, StudyTable(study.vary, store.run, penalised=study.penalised)
-    answers: list[Answer | None] = [None]
+    latest: tuple[Row | None, Answer | None] = None, None
 
     def on_row(row: Row, answer: Answer | None) -> None:
+        nonlocal latest
+        latest = row, answer
         for line in table.lines(row):
             say(line)
-        if not isinstance(study, Find):  # a search has found its last row
-            answers[:] = [answer]
 
     rows = study.run(on_row, store)
-    if isinstance(study, Find):  # on the page the last row is the one that was found
-        table.rows.clear()
-        for row in rows:
-            table.lines(row)
+    table.rows.clear()  # of a search the last row is the one that was found
+    for row in rows:
+        table.lines(row)
     for note in table.notes():
         say(fill(note, 110))
     if latex is not None:
         on_root(comm, write_text, latex, table.latex())
-    last = answers[0] or (None if on_root(comm, _is_drawn, folder, rows[-1]) else study.last_answer())
+    last = latest[1] if latest[0] is rows[-1] else None
+    if last is None and not on_root(comm, _is_drawn, folder, rows[-1]):
+        last = study.last_answer()
     if last is not None:
         last.save(folder / "last")
         if has_picture(last):
