@@ -15,6 +15,7 @@ from fenicsx_obstacle.parallel import total
 
 CANCELLED = 1e-14  # of A_ii: a sum of the entries of a row that is round-off
 HELD = 1e16  # times the diagonal of a row whose solution is to be zero
+TINY = 1e-300
 MOSTLY = 0.25  # of the sum of the forces: those of P2 at vertices have either sign
 
 
@@ -121,30 +122,32 @@ class Affine:
     def work(self) -> float:
         """u . A u/2 - f . u, for a symmetric A.
 
-        A large constant in u, whose forces cancel in A, takes no digit from it: with u = v + c and the mean c,
+        The round-off of a product with A is relative to sum of A_ii u_i^2. A constant in u, whose forces cancel in A,
+        takes no digit: with the constant c for which this sum is the least of v = u - c,
         u . A u = v . A v + c (A 1) . (2 v + c).
         """
         u, force = self._scratch, self._constant.duplicate()
         np.add(self.state.w, self.state.r, out=u.array)
         load = u.dot(self.minus_load)
-        sums, mean = self._row_sums(), u.sum() / max(u.getSize(), 1)
-        u.shift(-mean)
+        stiff, sums = self._stiffness_of_rows()
+        c = total(self.comm, stiff * u.array_r) / max(total(self.comm, stiff), TINY)
+        u.shift(-c)
         self.stiffness.mult(u, force)
-        value = 0.5 * (u.dot(force) + mean * total(self.comm, sums * (2 * u.array_r + mean))) + load
+        value = 0.5 * (u.dot(force) + c * total(self.comm, sums * (2 * u.array_r + c))) + load
         force.destroy()
         return value
 
-    def _row_sums(self) -> np.ndarray:
-        """A 1 at owned dofs, 0 where it is round-off."""
+    def _stiffness_of_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """|A_ii| and A 1 at owned dofs, which is 0 where it is round-off."""
         one, sums = self._constant.duplicate(), self._constant.duplicate()
         self.stiffness.getDiagonal(one)
-        least = CANCELLED * np.abs(one.array)
+        stiff = np.abs(one.array)
         one.set(1.0)
         self.stiffness.mult(one, sums)
-        found = np.where(np.abs(sums.array_r) > least, sums.array_r, 0.0)
+        found = np.where(np.abs(sums.array_r) > CANCELLED * stiff, sums.array_r, 0.0)
         for vector in (one, sums):
             vector.destroy()
-        return found
+        return stiff, found
 
     def penalty_energy(self) -> float:
         """I((u - g)^+ ^2, 1)/(2 eps)."""
