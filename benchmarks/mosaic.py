@@ -70,7 +70,7 @@ def drawn(one: Case) -> Any:
             mesh = context.problem.level.mesh
             if mesh.topology.dim != 2 or mesh.geometry.dim != 2:
                 return False
-            return patch_of(gather(context.answer()))
+            return patch_of(gather(context.answer().fields))
     except (InputError, NotConverged):
         return None
 

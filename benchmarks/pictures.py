@@ -184,7 +184,7 @@ def known(options: Any) -> str:
 def bearing(axes: Any) -> None:
     """The unrolled film: its pressure, and the edge where it cavitates."""
     answer = solve(Scene.read(DEMOS / "bearing.toml"), refine=1)
-    patch = patch_of(gather(answer))
+    patch = patch_of(gather(answer.fields))
     film = unrolled(patch)
     levels = np.linspace(film.fields["u"].min(), film.fields["u"].max(), 15)
     drawn = axes.tricontourf(triangles(film), film.fields["u"], levels=levels, cmap="viridis")
@@ -212,7 +212,7 @@ def unrolled(patch: Patch) -> Patch:
 def torsion(axes: Any) -> None:
     """Where the bar has yielded, and lines of shear stress."""
     answer = solve(Scene.read(DEMOS / "torsion.toml"))
-    patch = patch_of(gather(answer))
+    patch = patch_of(gather(answer.fields))
     patch.points[:] *= 1000  # mm
     from matplotlib.patches import Patch as Swatch
 
@@ -232,7 +232,7 @@ def torsion(axes: Any) -> None:
 def put(axes: Any) -> None:
     """The value of the option a year before it expires."""
     answer = solve(Scene.read(DEMOS / "put.toml"))
-    arrays = gather(answer)
+    arrays = gather(answer.fields)
     order = np.argsort(arrays["points"][:, 0])
     price, value, payoff = (
         values[order] for values in (100 * np.exp(arrays["points"][:, 0]), arrays["u"], arrays["lower"])

@@ -26,8 +26,8 @@ from fenicsx_obstacle import (
     study,
 )
 from fenicsx_obstacle.answers.profiles import profiles_of
+from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.problems.vector_valued import ContactTable
 from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
@@ -670,7 +670,7 @@ def pressed_cube(face, element="P1", cell="tetrahedron", depth=0.01):
 def test_the_pressure_is_seen_on_its_facets(face, element, cell):
     """The eye is on the side of the contact; all facets of the pressed face have its pressure, and no others."""
     answer, axis, sign = pressed_cube(face, element, cell)
-    arrays = gather(answer)
+    arrays = gather(answer.fields)
     if COMM.rank > 0:
         return
     side = 1.0 if "upper" in answer.record["contact"] else -1.0

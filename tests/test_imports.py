@@ -69,7 +69,7 @@ UNWANTED = {
     "Newton at work": package("answers", "iterates") | package("show", "newton"),
     "bodies": package("answers", "bodies") | package("scenes", "bodies", "body_report") | package("forms", "elasticity")
     | package("discrete", "contact_nodes", "rigid", "vector_levels", "vector_problem")
-    | package("problems", "vector_valued"),
+    | package("problems", "vector_valued") | package("fields", "vector", "contact_table"),
     "drift and parts of the boundary": package("discrete", "drift", "parts"),
 }  # fmt: skip
 EFFECTS = package("effects", "domain", "domain.tension", "effect", "field", "plugin")

@@ -4,8 +4,7 @@ import sys
 
 import pytest
 
-from fenicsx_obstacle import InputError, checkout
-from fenicsx_obstacle.io import origin
+from fenicsx_obstacle import InputError, checkout, origin
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.demo import run_demo
 from tests.conftest import COMM

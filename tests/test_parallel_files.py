@@ -26,7 +26,7 @@ from tests.conftest import COMM, DEMOS
 def test_the_free_boundary_needs_only_the_cells_near_it(name, changes):
     """The same pieces with the same coordinates, to the last digit, as from the whole mesh on rank 0."""
     answer = solve(Scene.read(DEMOS / f"{name}.toml").change(changes))
-    near, whole = near_free_boundary(answer), gather(answer)
+    near, whole = near_free_boundary(answer.fields), gather(answer.fields)
     if COMM.rank != 0:
         assert near is None
         return
@@ -62,7 +62,7 @@ def test_rank_0_holds_nothing_of_the_size_of_the_mesh(folder, monkeypatch):
         answer = solve("ball", cells=cells)
         sent.clear()
         answer.save(folder / str(cells))
-        write_free_boundary(answer, folder / str(cells) / "free_boundary.csv")
+        write_free_boundary(answer.fields, folder / str(cells) / "free_boundary.csv")
         read = Answer.read(folder / str(cells))
         assert read.level.dofs == answer.level.dofs
         bytes_sent.append(COMM.bcast(sum(sent)))
@@ -74,7 +74,7 @@ def test_the_file_of_all_ranks_is_plain_hdf5(folder, ball):
     """Every array stands in it as rank 0 would have gathered it, without gaps or compression."""
     answer = solve(ball, cells=16)
     answer.save(folder)
-    arrays = gather(answer)
+    arrays = gather(answer.fields)
     with h5py.File(folder / "fields.h5") as file:
         assert set(file) >= {"points", "cells", "gdim", "u", "pressure", "contact", "lower", "gap", "error"}
         for name, values in arrays.items():

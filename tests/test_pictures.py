@@ -28,7 +28,7 @@ def measure(patch):
 
 
 def on_rank_0(answer):
-    arrays = gather(answer)
+    arrays = gather(answer.fields)
     return patch_of(arrays) if COMM.rank == 0 else None
 
 
@@ -140,7 +140,7 @@ def test_the_pressure_is_the_one_that_was_computed(element, words):
     """At each node its value, 0 at those out of contact; the page says where it was computed, and what was done."""
     cell = {"cell": "quadrilateral"} if element.startswith("Q") else {}
     answer = solve(membrane(mesh={"shape": "rectangle", "cells": 8} | cell, load=-8, lower=-0.05), element=element)
-    arrays = gather(answer)
+    arrays = gather(answer.fields)
     page = answer.plot().page
     if COMM.rank != 0:
         return

@@ -82,7 +82,7 @@ def test_more_nodes_than_32_bits_multiply(kind, element, bound, folder):
     answer.save(folder / "saved")
     again = Solution.read(folder / "saved")
     assert again.force.lower == answer.force.lower
-    arrays = gather(again)
+    arrays = gather(again.fields)
     if COMM.rank == 0:
         lines = free_boundary(patch_of(arrays))
         assert len(lines) == 1

@@ -6,8 +6,9 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from dolfinx import fem
@@ -17,9 +18,11 @@ from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.problems.solution import Files, Solution
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
+from fenicsx_obstacle.text import one_line
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
+    from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows
 
 NEWTON = "newton.csv"  # the last moment's iteration, where history.csv is the course of time
@@ -31,26 +34,47 @@ class Answer(Solution):
 
     Attributes:
         scene: The scene, with the changes made by arguments of `solve`.
-        error: Difference from the exact solution at the nodes; None if the exact solution is not known.
         time_history: All time steps, for a scene with [time]; otherwise None. `u`, `pressure` and the other fields are
             those at the final time.
     """
 
     scene: Scene = field(kw_only=True)
-    error: fem.Function | None = None
     time_history: TimeHistory | None = None
+
+    @property
+    def error(self) -> fem.Function | None:
+        """Difference from the exact solution at the nodes; None if the exact solution is not known."""
+        return self.fields.error
 
     @property
     def symbol(self) -> str:
         return self.scene.tables.u
 
-    def functions(self) -> dict[str, fem.Function]:
-        return super().functions() | ({} if self.error is None else {"error": self.error})
+    @cached_property
+    def shown(self) -> Self:
+        """What pictures show; of a body in time the moment of the largest contact force, as the load may end at zero.
+
+        Its title says which moment. An earlier moment than the last is on P1 simplices, in single precision (first use
+        is collective).
+        """
+        time = self.record.get("time")
+        if time is None or self.time_history is None or not self.scene.model.vector_valued:
+            return self
+        from fenicsx_obstacle.fields.vector import VectorFields  # no scalar solution needs it
+
+        assert isinstance(self.fields, VectorFields)
+        t, fields = time.get("largest", time["t"]), self.fields  # folders of version 0.2 do not have it
+        frames = [frame for frame in self.time_history.frames if frame.t == t]
+        if t != time["t"] and frames:
+            fields, time = fields.plain.with_values(self.level.comm.bcast(frames[0].fields)), {**time, "t": t}
+        title = f"{self.title}, {one_line(time['name'])} = {time['t']:.4g}"
+        return replace(self, fields=fields, record={**self.record, "title": title, "time": time})
 
     def files(
         self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]
     ) -> Files:
         from fenicsx_obstacle.io.element import own_mesh
+        from fenicsx_obstacle.io.folder import NODES
 
         text, data = self._scene_in(folder).with_data()
         contents = {"scene.toml": text.encode(), **data}
@@ -60,6 +84,8 @@ class Answer(Solution):
             from fenicsx_obstacle.io.folder import history_csv
 
             contents |= {NEWTON: history_csv(self.history), **self.time_history.files(mesh)}
+        if self.scene.model.vector_valued:
+            contents[NODES] = _nodes_csv(self.nodes)
         return contents
 
     def _scene_in(self, folder: Path) -> Scene:
@@ -74,12 +100,8 @@ class Answer(Solution):
         return scene.change({"mesh.file": os.path.relpath((scene.folder / file).resolve(), folder.resolve())})
 
     @cached_property
-    def _tension(self) -> Any:
-        """The tension in UFL; of a read answer that of its scene, at the last moment (first use is collective).
-
-        Raises:
-            InputError: If the scene does not say it, as it was given in Python.
-        """
+    def _known_tension(self) -> Any:
+        """The tension in UFL; of a read answer that of its scene, at the last moment (first use is collective)."""
         if self.tension is not None:
             return self.tension
         from fenicsx_obstacle.discrete.data import Data  # only if requested
@@ -87,8 +109,7 @@ class Answer(Solution):
 
         time = self.record.get("time")
         data = Data(self.scene.model, self.level, None if time is None else Moment(time["t"], 0.0, 0.0))
-        tension = data.model.elastic.tension_at(self.u, data)
-        return super()._tension if tension is None else tension
+        return data.model.elastic.tension_at(self.u, data)
 
     @classmethod
     @checked()
@@ -107,16 +128,19 @@ class Answer(Solution):
         folder = Path(folder)
         saved = read(folder, comm, needed=("scene.toml",), steps_in_time=NEWTON)
         scene = Scene.read(folder / "scene.toml")
-        if "nodes" in saved.fields:
-            from fenicsx_obstacle.answers.bodies import BodyAnswer  # no scalar solution needs it
-            from fenicsx_obstacle.problems.vector_valued import saved as body
-
-            answer: Answer = BodyAnswer.of(body(saved.fields), scene)
-        else:
-            answer = cls(**saved.fields, scene=scene)
+        answer = cls(saved.fields, saved.history, saved.record, saved.bound, scene=scene)
         if "time" not in answer.record:
             return answer
         from fenicsx_obstacle.answers.time_history import TimeHistory  # only where a scene has time
 
         time_history = on_root(comm, lambda: TimeHistory.read(folder, len(saved.mesh["points"])))
-        return replace(answer, time_history=time_history.renumbered(saved.mesh, gather(answer)))
+        return replace(answer, time_history=time_history.renumbered(saved.mesh, gather(answer.fields)))
+
+
+def _nodes_csv(nodes: ContactTable) -> bytes:
+    """The contact nodes, a line each."""
+    text, axes = StringIO(), "xyz"[: nodes.points.shape[1]]
+    heads = [*axes, *(f"n_{axis}" for axis in axes), "area", "p", "gap"]
+    columns = np.column_stack([nodes.points, nodes.normals, nodes.areas, nodes.pressure, nodes.gap])
+    np.savetxt(text, columns, fmt="%.12g", delimiter=",", header=",".join(heads), comments="")
+    return text.getvalue().encode()

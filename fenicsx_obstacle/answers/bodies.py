@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
-from io import StringIO
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.options import SolverOptions
@@ -18,55 +14,16 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, at_time
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
-from fenicsx_obstacle.io.folder import NODES, fields_of
-from fenicsx_obstacle.problems.solution import Files
-from fenicsx_obstacle.problems.vector_valued import VectorSolution
+from fenicsx_obstacle.fields.vector import VectorFields
+from fenicsx_obstacle.io.folder import frame_of
+from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.bodies import Body
 from fenicsx_obstacle.scenes.body_report import BodyReport, contact_quantities, contact_remarks
 from fenicsx_obstacle.scenes.profiles import check_profiles
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.text import one_line
 
 SAME_FORCE = 1e-6  # relative: of moments whose contact forces differ less, the last one is shown
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class BodyAnswer(VectorSolution, Answer):
-    """A solution of a scene with an elastic body; pressures are >= 0, and normals those of the obstacles."""
-
-    @classmethod
-    def of(cls, solution: VectorSolution, scene: Scene, **changes: Any) -> BodyAnswer:
-        """A vector-valued solution with its scene."""
-        kept = {one.name: getattr(solution, one.name) for one in fields(VectorSolution)}
-        return cls(**{**kept, **changes}, scene=scene)
-
-    def functions(self) -> dict[str, fem.Function]:
-        return VectorSolution.functions(self)
-
-    @cached_property
-    def shown(self) -> BodyAnswer:
-        """With time, the solution at the moment of the largest contact force, as the load may end at zero; its title
-        says which moment. An earlier moment than the last is on P1 simplices, in single precision (first use is
-        collective)."""
-        if "time" not in self.record or self.time_history is None:
-            return self
-        time = self.record["time"]
-        t = time.get("largest", time["t"])  # folders of version 0.2 do not have it
-        frames, found = [frame for frame in self.time_history.frames if frame.t == t], self
-        if t != time["t"] and frames:
-            found = self.plain.with_values(self.level.comm.bcast(frames[0].fields))
-            time = {**time, "t": t}
-        title = f"{self.title}, {one_line(time['name'])} = {time['t']:.4g}"
-        return replace(found, record={**self.record, "title": title, "time": time})
-
-    def files(self, folder: Path, *given: Any) -> Files:
-        text, nodes = StringIO(), self.nodes
-        axes = "xyz"[: nodes.points.shape[1]]
-        heads = [*axes, *(f"n_{axis}" for axis in axes), "area", "p", "gap"]
-        columns = np.column_stack([nodes.points, nodes.normals, nodes.areas, nodes.pressure, nodes.gap])
-        np.savetxt(text, columns, fmt="%.12g", delimiter=",", header=",".join(heads), comments="")
-        return {**Answer.files(self, folder, *given), NODES: text.getvalue().encode()}
 
 
 class BodyContext:
@@ -109,7 +66,7 @@ class BodyContext:
         """Free matrices and solvers; answers stay (collective)."""
         del self.body, self._report
 
-    def answer(self, options: SolverOptions | None = None) -> BodyAnswer:
+    def answer(self, options: SolverOptions | None = None) -> Answer:
         """Solve, from the last solution of the ObstacleProblem (collective).
 
         Args:
@@ -147,12 +104,15 @@ class BodyContext:
             if self._report.places:
                 record["report_places"] = self._report.places
         # clocks differ between ranks: rank 0 speaks for all
-        return BodyAnswer.of(solution, scene.with_options(options), level=solution.level.with_parts(body.level),
-                             record=body.level.comm.bcast(record), time_history=history)  # fmt: skip
+        fields = solution.fields
+        assert isinstance(fields, VectorFields)
+        fields = replace(fields, level=fields.level.with_parts(body.level))
+        return Answer(fields, solution.history, body.level.comm.bcast(record), scene=scene.with_options(options),
+                      time_history=history)  # fmt: skip
 
     def _equilibria(
         self, moments: TimeDiscretization, options: SolverOptions
-    ) -> tuple[VectorSolution, TimeHistory, dict[str, Any]]:
+    ) -> tuple[Solution, TimeHistory, dict[str, Any]]:
         """An equilibrium at each time, each from the last one; the solution at the end, all rows, counts (collective).
 
         The fields of the moment with the largest contact force are kept, whatever other moments are.
@@ -179,12 +139,12 @@ class BodyContext:
                 **{key: None if value is None else value + 0.0 for key, value in reported.items()},
             })  # fmt: skip
             if moments.frames and step in kept:
-                frames.append(Frame(t, fields_of(solution)))
+                frames.append(Frame(t, frame_of(solution.fields)))
             force = float(np.abs(solution.nodes.pressure) @ solution.nodes.areas)
             if force >= (1 - SAME_FORCE) * largest:
                 most, largest, loaded = t, force, solution
         if loaded is not None and loaded is not solution and all(frame.t != most for frame in frames):
-            frames = sorted([*frames, Frame(most, fields_of(loaded))], key=lambda frame: frame.t)
+            frames = sorted([*frames, Frame(most, frame_of(loaded.fields))], key=lambda frame: frame.t)
         times = {"t": t, "name": moments.name, "scheme": moments.scheme, "steps": moments.steps, "rejected": 0,
                  "largest": most}  # fmt: skip
         newton, krylov = (sum(row[key] for row in rows) for key in ("newton", "krylov"))

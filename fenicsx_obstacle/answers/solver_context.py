@@ -28,6 +28,7 @@ from fenicsx_obstacle.discrete.levels import Level, refined_where
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Exact
+from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.solve import State, solve
@@ -331,18 +332,14 @@ class SolverContext:
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
         scene = scene.with_options(options)
-        return replace(
-            self._fields(state), history=history, record=record, bound=bound, time_history=time_history, scene=scene
-        )
+        tension = problem.model.elastic.tension_at(state.u, problem.data)
+        return Answer(self._fields(state), history, record, bound, tension, scene=scene, time_history=time_history)
 
-    def _fields(self, state: State) -> Answer:
-        """The fields of an answer, without output quantities."""
-        problem, data = self.problem, self.problem.data
+    def _fields(self, state: State) -> Fields:
+        """The fields of an answer."""
+        data = self.problem.data
         shown = (None, None) if data.thin else (data.lower, data.upper)
-        tension = data.model.elastic.tension_at(state.u, data)
-        return Answer(
-            problem.level, state.u, state.pressure, state.touching, *shown, (), {}, tension=tension, scene=self.scene
-        )
+        return Fields(self.problem.level, state.u, state.pressure, state.touching, *shown)
 
 
 def _evaluated(report: Report, problem: Problem, state: State) -> dict[str, float | None]:
@@ -361,7 +358,7 @@ def _with_errors(answer: Answer, exact: Exact) -> Answer:
     record: dict[str, Any] = {**answer.record, "errors": errors}
     if answer.bound is not None and errors["energy"] > 0:
         record["bound"] = {**record["bound"], "effectivity": answer.bound.total / errors["energy"]}
-    return replace(answer, record=record, error=difference)
+    return replace(answer, record=record, fields=replace(answer.fields, error=difference))
 
 
 def close(benches: Sequence[SolverContext]) -> None:

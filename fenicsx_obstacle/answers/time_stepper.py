@@ -18,7 +18,6 @@ from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.answers import checkpoint
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.steps import Steps
 from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory, at_time
 from fenicsx_obstacle.discrete.admissible import giver, worst
@@ -27,7 +26,8 @@ from fenicsx_obstacle.discrete.drift import check_drift_in_time
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.io.folder import fields_of
+from fenicsx_obstacle.fields.scalar import Fields
+from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.solve import State, state_of
 from fenicsx_obstacle.text import one_line
@@ -50,7 +50,7 @@ class TimeStepper:
         levels: Levels,
         options: SolverOptions,
         reported: Callable[[State], Row],
-        fields: Callable[[State], Answer],
+        fields: Callable[[State], Fields],
         monitor: StepMonitor | None = None,
     ):
         """Take the data of the start, and choose eps (collective).
@@ -397,7 +397,7 @@ class TimeStepper:
         due = (np.floor(self.frames[-1].t / each * (1 + NO_STEP)) + 1) * each if self.frames else 0.0
         last_one = t >= self.moments.end * (1 - NO_STEP)
         if self.moments.frames and (t >= due * (1 - NO_STEP) or last_one):
-            self.frames.append(Frame(t, fields_of(self._fields(state))))
+            self.frames.append(Frame(t, frame_of(self._fields(state))))
 
     def _kinetic(self) -> float:
         """rho v^2/2, by the nodal rule."""

@@ -8,7 +8,6 @@ Q_h where they are not nodal, cell by cell.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
@@ -19,15 +18,12 @@ from fenicsx_obstacle.discrete.cells import given_cells, own_cells
 from fenicsx_obstacle.discrete.levels import Level, of_pair
 from fenicsx_obstacle.discrete.named_parts import named
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.io.rows import Rows
 from fenicsx_obstacle.io.validation import VERTICES, share
 from fenicsx_obstacle.parallel import agree, gathered
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.problems.solution import Solution
-
 
 OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells
 OF_Q = ("pressure", "contact")  # fields of Q_h, the others are of V_h
@@ -35,23 +31,23 @@ OF_Q = ("pressure", "contact")  # fields of Q_h, the others are of V_h
 Arrays = Mapping[str, np.ndarray]
 
 
-def element_of(solution: Solution, nodes: np.ndarray | None) -> dict[str, Rows]:
+def element_of(fields: Fields, nodes: np.ndarray | None) -> dict[str, Rows]:
     """The data from which the element of a solution is restored; empty for P1 simplices (collective).
 
     Args:
-        solution: The solution.
+        fields: Of the solution.
         nodes: Rows of the nodal values of each owned cell in the order of its dofs; None for P1 simplices.
 
     Returns:
         `cells`, for each cell the rows of the nodal values in the order of its dofs; and by its name each field of Q_h
         that is not nodal, shape (cells, dofs of a cell).
     """
-    level = solution.level.scalar
+    level = fields.level.scalar
     if nodes is None:
         return {}
     own = own_cells(level.mesh)
     parts = {"cells": nodes}
-    for name, function in {**solution.functions(), **solution.by_cell()}.items():
+    for name, function in {**fields.functions(), **fields.by_cell()}.items():
         space = function.function_space
         if space != level.V:
             parts[name] = function.x.array[releases.cell_dofs(space)[:own]].real

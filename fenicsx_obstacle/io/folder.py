@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import file_digest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -20,16 +20,14 @@ from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
+from fenicsx_obstacle.fields.scalar import Fields, with_gap
 from fenicsx_obstacle.forms.pairs import pairs
-from fenicsx_obstacle.io.cut import OnNodes, global_dofs, on_nodes
 from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
 from fenicsx_obstacle.io.validation import check_arrays, check_record
 from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root, write_text
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.problems.solution import Solution
 
 ANSWER = "answer.json"
 STEPS = "newton.gif"  # drawn on demand; of an older solution it goes like what belongs to time
@@ -49,35 +47,46 @@ VECTORS = ("u0", "u1", "u2", "gap", "von_mises")  # further ones of vector-value
 DERIVED = ("gap",)  # written for ParaView, not read back with scalar solutions
 
 
-def save(solution: Solution, folder: Path) -> None:
+Further = Callable[[Path, Mapping[str, Rows], Mapping[str, Rows], Mapping[str, np.ndarray]], dict[str, bytes]]
+
+
+def save(folder: Path, fields: Fields, history: tuple[Step, ...], record: Mapping[str, Any], more: Further) -> None:
     """Write a solution into a folder; other files in the folder are kept (collective).
 
     Each rank writes its own rows of fields.h5: the folder is on a file system that all share.
 
+    Args:
+        folder: Where to.
+        fields: Of the solution.
+        history: Its Newton steps.
+        record: Its values.
+        more: Further files by their names, on rank 0, of the folder, of points, cells and fields, of the group
+            `element` of fields.h5, and of the named parts.
+
     Raises:
         InputError: If the folder cannot be written.
     """
-    level = solution.level.scalar
+    level = fields.level.scalar
     comm, nests = level.comm, level.pair.nested_hierarchy
-    shown = on_nodes(solution)
-    own, nodes = _own(solution, shown), None if nests else _nodes(solution, shown)
+    shown = fields.on_nodes()
+    own, nodes = _own(fields, shown), None if nests else _nodes(fields, shown)
     mesh = {name: Rows.of(comm, values) for name, values in own.items()}
-    element = element_of(solution, nodes)
+    element = element_of(fields, nodes)
     # cut cells are none of the mesh: its parts go with the true ones
     parts = parts_of(level, own["cells"] if nodes is None else nodes)
-    further = solution.files(folder, mesh, element, parts)
+    further = more(folder, mesh, element, parts)
     place = "" if nests else "element/"
     rows = {**mesh, **{f"element/{name}": values for name, values in element.items()}}
     whole = {"gdim": np.array(level.mesh.geometry.dim), **{f"{place}parts/{name}": v for name, v in parts.items()}}
-    whole |= solution.tables()
+    whole |= fields.tables()
     if element:
         whole["element/cell"] = cell_of(level)
-    kept = {"checkpoint.h5"} if "time" in solution.record else set[str]()
+    kept = {"checkpoint.h5"} if "time" in record else set[str]()
     with new_files(comm, folder) as scratch:
 
         def write() -> Offsets:
             contents = {
-                "history.csv": history_csv(solution.history),
+                "history.csv": history_csv(history),
                 "fields.xdmf": xdmf(mesh, {None: mesh}).encode(),
                 **further,
             }
@@ -94,7 +103,7 @@ def save(solution: Solution, folder: Path) -> None:
         def write_answer() -> None:
             with _told(folder):
                 files = {file.name: content_of(file) for file in scratch.iterdir()}
-                (scratch / ANSWER).write_text(_answer(solution.record, files), encoding="utf-8")
+                (scratch / ANSWER).write_text(_answer(record, files), encoding="utf-8")
 
         offsets = on_root(comm, write)
         with agree(comm), _told(folder):
@@ -140,11 +149,17 @@ class Saved:
     """The contents of a folder.
 
     Attributes:
-        fields: Arguments of `Solution`, and `error` where it is there.
+        fields: The fields, on its mesh.
+        history: The Newton steps.
+        record: All values.
+        bound: Bound of the energy error, or None.
         mesh: `points`, shape (n, 3), and `cells` in the order of the files.
     """
 
-    fields: dict[str, Any]
+    fields: Fields
+    history: tuple[Step, ...]
+    record: dict[str, Any]
+    bound: Any
     mesh: dict[str, np.ndarray]
 
 
@@ -196,34 +211,38 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     pair = pairs()[name]
     if not element and not pair.nested_hierarchy:
         raise InputError(f"{folder}: saved by version 0.1, without its element; version 0.2 reads it")
-    further = dict[str, Any]()
-    if arrays["u"].ndim == 2:
+    vector_valued = arrays["u"].ndim == 2
+    if vector_valued:
         from fenicsx_obstacle.discrete.contact_nodes import vector_pair  # no scalar problem needs it
 
         pair = vector_pair(pair)
         gdim = min(int(arrays["gdim"]), arrays["u"].shape[1])
         arrays = arrays | {f"u{k}": arrays["u"][:, k] for k in range(gdim)}
         del arrays["u"]
-        further["nodes"] = _group(stored, "nodes/")
     try:
         check_arrays(arrays, element, parts, pair, comm)
         level = mesh_of(arrays, element, parts, record["h"], comm, pair)
-        names = FIELDS + VECTORS if further else FIELDS
-        fields = restored(level, {name: arrays[name] for name in names if name in arrays}, element)
+        names = FIELDS + VECTORS if vector_valued else FIELDS
+        functions = restored(level, {name: arrays[name] for name in names if name in arrays}, element)
     except (InputError, LookupError, ValueError) as error:
         raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-    for name, function in fields.items():
+    for name, function in functions.items():
         function.name = name
-    further |= {name: fields.get(name) for name in ("lower", "upper")}
+    bound = None
     if "bound" in record:
         from fenicsx_obstacle.estimation.bound import Bound  # only where it was asked for
 
         try:
-            further["bound"] = Bound.read(record["bound"])
+            bound = Bound.read(record["bound"])
         except (TypeError, AttributeError) as error:
             raise InputError(f"{folder}: the saved answer is damaged: {ANSWER}: bound: {error}") from None
-    further |= {"level": level, "history": steps, "record": record}
-    return Saved({**fields, **further}, {name: arrays[name] for name in ("points", "cells")})
+    if vector_valued:
+        from fenicsx_obstacle.fields.vector import VectorFields  # no scalar solution needs it
+
+        fields: Fields = VectorFields.restored(level, functions, _group(stored, "nodes/"))
+    else:
+        fields = Fields(level, **functions)
+    return Saved(fields, steps, record, bound, {name: arrays[name] for name in ("points", "cells")})
 
 
 def _group(arrays: Mapping[str, np.ndarray], group: str) -> Groups:
@@ -273,21 +292,21 @@ def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
         raise InputError(f"{file.parent}: the saved answer is damaged: {file.name}: {error}") from None
 
 
-def fields_of(solution: Solution) -> dict[str, np.ndarray]:
+def frame_of(fields: Fields) -> dict[str, np.ndarray]:
     """The fields of `gather` alone, in single precision."""
     found = {
         name: values.astype(np.float32)
-        for name, values in _own(solution, on_nodes(solution)).items()
+        for name, values in _own(fields, fields.on_nodes()).items()
         if name in FIELDS + DERIVED + BY_CELL
     }
-    return _gathered(solution.level.comm, found)
+    return _gathered(fields.level.comm, found)
 
 
-def gather(solution: Solution) -> dict[str, np.ndarray]:
+def gather(fields: Fields) -> dict[str, np.ndarray]:
     """Points, cells and fields of all ranks on rank 0, as pictures need them, numbered by global dof; empty elsewhere
     (collective)."""
-    arrays = _gathered(solution.level.comm, _own(solution, on_nodes(solution)))
-    return arrays | {"gdim": np.array(solution.level.mesh.geometry.dim)} if arrays else {}
+    arrays = _gathered(fields.level.comm, _own(fields, fields.on_nodes()))
+    return arrays | {"gdim": np.array(fields.level.mesh.geometry.dim)} if arrays else {}
 
 
 def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -295,23 +314,23 @@ def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.nda
     return {name: values for name, values in found.items() if values is not None}
 
 
-def _nodes(solution: Solution, shown: OnNodes | None) -> np.ndarray:
+def _nodes(fields: Fields, shown: OnNodes | None) -> np.ndarray:
     """Rows of the files that belong to the dofs of each owned cell (collective)."""
-    return solution.cut.nodes if shown is None else shown.global_(shown.nodes)
+    return fields.cut.nodes if shown is None else shown.global_(shown.nodes)
 
 
-def _own(solution: Solution, shown: OnNodes | None) -> dict[str, np.ndarray]:
+def _own(fields: Fields, shown: OnNodes | None) -> dict[str, np.ndarray]:
     """Points, cells and fields that this rank owns, on P1 simplices; cells by global dofs (collective)."""
     if shown is not None:
         level = shown.level
-        fields = solution.with_gap({name: values[: level.owned] for name, values in shown.fields.items()})
-        return {"points": level.points.T[: level.owned], "cells": shown.global_(shown.cells), **fields}
-    solution = solution.plain
-    level = solution.level.scalar
+        values = with_gap({name: values[: level.owned] for name, values in shown.fields.items()})
+        return {"points": level.points.T[: level.owned], "cells": shown.global_(shown.cells), **values}
+    plain = fields.plain
+    level = plain.level.scalar
     return {
         "points": level.points.T[: level.owned],
         "cells": global_dofs(level, releases.cell_dofs(level.V)[: own_cells(level.mesh)]),
-        **solution.arrays(),
+        **plain.arrays(),
     }
 
 

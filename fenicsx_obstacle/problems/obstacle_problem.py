@@ -29,6 +29,7 @@ from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
 from fenicsx_obstacle.problems.input_checks import (
     check_energy,
@@ -349,13 +350,14 @@ class ObstacleProblem:
         u = self.u.copy()  # what the next solve finds does not change this solution
         u.name = self.u.name
         tension = self._data.model.elastic.tension_at(u, self._data)
-        fields = (u, state.pressure, state.touching, kept[0], kept[1], history, record, certified, tension)
-        if not self._vector_valued:
-            return Solution(level, *fields)
-        from fenicsx_obstacle.problems.vector_valued import vector_solution
+        fields = Fields(level, u, state.pressure, state.touching, *kept)
+        if self._vector_valued:
+            from fenicsx_obstacle.problems.vector_valued import vector_fields
 
-        von_mises = None if self._von_mises is None else self._von_mises.now()
-        return vector_solution(problem, state.contact, von_mises, fields)
+            von_mises = None if self._von_mises is None else self._von_mises.now()
+            fields, more = vector_fields(problem, state.contact, fields, von_mises)
+            record["contact"] |= more
+        return Solution(fields, history, record, certified, tension)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""

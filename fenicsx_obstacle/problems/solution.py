@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
-import ufl
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.fields.scalar import Fields, Force
 from fenicsx_obstacle.problems.summary import main_values, summary
-from fenicsx_obstacle.problems.values import Adaptive, Errors, Force, Profile, Quantity, Seconds
+from fenicsx_obstacle.problems.values import Adaptive, Errors, Profile, Quantity, Seconds
 from fenicsx_obstacle.signatures import checked
-from fenicsx_obstacle.text import counted, nearest, shown, title_of
+from fenicsx_obstacle.text import counted, shown, title_of
 
 if TYPE_CHECKING:
     from typing import Self
@@ -32,13 +28,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from fenicsx_obstacle.estimation.bound import Bound
-    from fenicsx_obstacle.io.cut import Cut
+    from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows
     from fenicsx_obstacle.show.pictures import Picture
 
 Files = dict[str, bytes]
 T = TypeVar("T")
-PARTITION = 1e-9  # round-off of a partition of unity
 
 
 def _from_record(record: Mapping[str, Any], key: str, kind: type[T]) -> T | None:
@@ -51,38 +46,18 @@ class Solution:
     """A converged solution with its pressure, contact set, history and values.
 
     Attributes:
-        level: The mesh and its spaces, `level.mesh` and `level.V`.
-        u: Solution, in the unit of the obstacles. It is a copy, which later solves do not change.
-        pressure: Contact pressure p, in the unit of the load: >= 0 at the lower obstacle, <= 0 at the upper one. Its
-            space Q_h has the contact nodes as nodes. With P1 it is the space of u, with P2 on triangles the
-            Crouzeix-Raviart space: its values at the midpoints of edges have these signs, but between them p may have
-            the opposite sign near the free boundary.
-        contact: 1 at the contact nodes where u is in contact, 0 at the others; in the space of the pressure.
-        lower: Lower obstacle at the nodes, or None.
-        upper: Upper obstacle at the nodes, or None.
+        fields: u, pressure, contact set and obstacles on the mesh; the attributes below give each.
         history: The Newton steps.
         record: All values, as in answer.json.
         bound: Bound of the energy error, or None.
         tension: The tension in UFL, a number or a matrix; None for a form, and for a solution that was read from files.
     """
 
-    level: Level
-    u: fem.Function
-    pressure: fem.Function
-    contact: fem.Function
-    lower: fem.Function | None
-    upper: fem.Function | None
+    fields: Fields
     history: tuple[Step, ...] = field(repr=False)
     record: Mapping[str, Any] = field(repr=False)
     bound: Bound | None = None
     tension: Any = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        # the names that ParaView shows; XDMFFile cannot write two Functions with one name
-        for name in ("pressure", "contact", "lower", "upper", "gap", "von_mises"):
-            function = getattr(self, name, None)
-            if function is not None:
-                function.name = name
 
     def __repr__(self) -> str:
         r = self.record
@@ -118,9 +93,10 @@ class Solution:
 
     @property
     def force(self) -> Force:
-        """The contact forces, `force.lower` and `force.upper`, both >= 0; None for an obstacle that does not exist."""
+        """The contact forces, `force.lower` and `force.upper`, both >= 0; None for an obstacle that does not exist. For
+        bodies also the `resultant` on the body and its `moment`."""
         contact = self.record["contact"]
-        return Force(*(contact[side]["force"] if side in contact else None for side in ("lower", "upper")))
+        return self.fields.force(*(contact[side]["force"] if side in contact else None for side in ("lower", "upper")))
 
     @property
     def penetration(self) -> float:
@@ -171,22 +147,76 @@ class Solution:
     # fields
 
     @property
+    def level(self) -> Level:
+        """The mesh and its spaces, `level.mesh` and `level.V`."""
+        return self.fields.level
+
+    @property
+    def u(self) -> fem.Function:
+        """Solution, in the unit of the obstacles. It is a copy, which later solves do not change."""
+        return self.fields.u
+
+    @property
+    def pressure(self) -> fem.Function:
+        """Contact pressure p, in the unit of the load: >= 0 at the lower obstacle, <= 0 at the upper one.
+
+        Its space Q_h has the contact nodes as nodes. With P1 it is the space of u, with P2 on triangles the
+        Crouzeix-Raviart space: its values at the midpoints of edges have these signs, but between them p may have the
+        opposite sign near the free boundary.
+        """
+        return self.fields.pressure
+
+    @property
+    def contact(self) -> fem.Function:
+        """1 at the contact nodes where u is in contact, 0 at the others; in the space of the pressure."""
+        return self.fields.contact
+
+    @property
+    def lower(self) -> fem.Function | None:
+        """Lower obstacle at the nodes, or None."""
+        return self.fields.lower
+
+    @property
+    def upper(self) -> fem.Function | None:
+        """Upper obstacle at the nodes, or None."""
+        return self.fields.upper
+
+    @property
+    def nodes(self) -> ContactTable:
+        """Coordinates, normals, areas, pressures and gaps of the contact nodes of a vector-valued solution."""
+        return self._of_vectors("nodes")
+
+    @property
+    def gap(self) -> fem.Function:
+        """Distance of a vector-valued solution to the nearest obstacle, a Function; not-a-number at nodes that are not
+        on the contact boundary."""
+        return self._of_vectors("gap")
+
+    @property
+    def von_mises(self) -> fem.Function | None:
+        """Von Mises stress of a vector-valued solution in the middle of each cell, piecewise constant; None if no
+        stress was given."""
+        return self._of_vectors("von_mises")
+
+    def _of_vectors(self, name: str) -> Any:
+        if not hasattr(self.fields, name):
+            raise AttributeError(f"'{name}' is of vector-valued solutions")
+        return getattr(self.fields, name)
+
+    def functions(self) -> dict[str, fem.Function]:
+        """The scalar fields by name, those that exist; components of a vector-valued u are u0, u1, u2."""
+        return self.fields.functions()
+
+    @property
     def plain(self) -> Self:
         """Its interpolant on P1 simplices, for pictures and ParaView (first use is collective)."""
-        return self if self.level.pair.nested_hierarchy else cast("Self", self.cut.plain)
+        plain = self.fields.plain
+        return self if plain is self.fields else replace(self, fields=plain, tension=None)
 
     @property
     def shown(self) -> Self:
         """What pictures show: this solution (collective)."""
         return self
-
-    @cached_property
-    def cut(self) -> Cut:
-        """The subdivision of the cells from which `plain` is made, for elements other than P1 (first use is
-        collective)."""
-        from fenicsx_obstacle.io.cut import cut
-
-        return cut(self)
 
     def at(self, points: ArrayLike, of: str = "u") -> np.ndarray:
         """Values at points; not-a-number at points outside the mesh (collective).
@@ -207,6 +237,11 @@ class Solution:
         """
         if not isinstance(of, str):
             raise InputError(f"at() takes the name of a quantity, such as of='pressure', not of={shown(of)}")
+        flat, shape = self._in_space(points)
+        return self.values(flat, of).reshape((*shape, *self.fields.shape(of)))
+
+    def _in_space(self, points: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
+        """The points of `at` with three coordinates, shape (n, 3), and the shape in which they were given."""
         gdim = self.level.mesh.geometry.dim
         try:
             given = np.asarray(points, dtype=np.float64)
@@ -219,7 +254,7 @@ class Solution:
         flat[:, : given.shape[-1]] = given.reshape(-1, given.shape[-1])
         if np.any(flat[:, gdim:] != 0):
             raise InputError(f"at() takes points of the mesh, shape (n, {gdim}); coordinates beyond these must be 0")
-        return self.values(flat, of).reshape((*given.shape[:-1], *self._shape(of)))
+        return flat, given.shape[:-1]
 
     def along(self, start: ArrayLike, end: ArrayLike, n: int = 200) -> Profile:
         """All quantities along a line, for a plot (collective).
@@ -256,16 +291,7 @@ class Solution:
             InputError: As `at`.
         """
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return Profile(points, s, **self._quantities(points))
-
-    def _quantities(self, points: np.ndarray) -> dict[str, Any]:
-        """The values of a profile at points, by name (collective)."""
-        values: dict[str, Any] = {name: self.at(points, name) for name in ("u", "pressure", "slope")}
-        free = self.lower is None and self.upper is None
-        values["gap"] = np.full(len(points), np.inf) if free else self.at(points, "gap")
-        with suppress(InputError):  # the points are right, so that it is the tension that is not known
-            values["flux"] = self.at(points, "flux")
-        return values
+        return Profile(points, s, **self.fields.along(self._in_space(points)[0], self._known_tension))
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         """Values at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective).
@@ -274,114 +300,12 @@ class Solution:
             points: The same on every rank.
             of: As for `at`.
         """
-        found = [self._with_infinities(function, points) for function in self._components(of)]
-        return found[0] if not self._shape(of) else np.column_stack(found)
+        return self.fields.values(points, of, self._known_tension if of == "flux" else None)
 
-    def _shape(self, of: str) -> tuple[int, ...]:
-        return (self.level.mesh.geometry.dim,) if of in ("slope", "flux") else ()
-
-    def _components(self, of: str) -> list[fem.Function]:
-        """A quantity as Functions of this mesh (collective)."""
-        known = ("u", "pressure", "gap", "slope", "flux")
-        if of not in known:
-            raise InputError(f"at() has no quantity '{of}'" + nearest(of, known))
-        if of == "gap":
-            gap = fem.Function(self.level.V)
-            gap.x.array[:] = np.inf
-            for obstacle, sign in ((self.lower, 1), (self.upper, -1)):
-                if obstacle is not None:
-                    np.minimum(gap.x.array, sign * (self.u.x.array - obstacle.x.array), out=gap.x.array)
-            return [gap]
-        if of in ("slope", "flux"):
-            vector, degree = ufl.grad(self.u), self._slope_degree
-            if of == "flux":
-                vector, degree = self._tension * vector, degree + self._tension_degree
-            space = releases.functionspace(self.level.mesh, "DG", degree)
-            components = [fem.Function(space) for _ in range(self.level.mesh.geometry.dim)]
-            for axis, component in enumerate(components):
-                component.interpolate(releases.expression(vector[axis], space))
-            return components
-        return [getattr(self, of)]
-
-    @cached_property
-    def _tension(self) -> Any:
-        """The tension in UFL (first use is collective).
-
-        Raises:
-            InputError: If it is not known.
-        """
-        if self.tension is None:
-            raise InputError(
-                "at() has no flux here: the tension of a form is not known, nor that of a solution read without "
-                "a scene; 'slope' is the gradient of u"
-            )
+    @property
+    def _known_tension(self) -> Any:
+        """The tension in UFL, or None (first use is collective)."""
         return self.tension
-
-    @property
-    def _tension_degree(self) -> int:
-        """Degree of the polynomials of the sampled tension in a cell, those of `Level.W`."""
-        return 0 if self.level.pair.degree == 1 else self.level.pair.degree
-
-    @property
-    def _slope_degree(self) -> int:
-        """Degree of the gradients of V_h."""
-        pair = self.level.pair
-        return pair.degree - 1 if pair.nested_hierarchy or pair.has_p1_coarse_space else pair.degree
-
-    def _with_infinities(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
-        """Values of a Function on this mesh, infinite where it is infinite at a node that counts there (collective)."""
-        values = function.x.array
-        if total(self.level.comm, np.count_nonzero(np.isinf(values))) == 0:
-            return self._evaluated(function, points)
-        finite, infinite = fem.Function(function.function_space), fem.Function(function.function_space)
-        finite.x.array[:] = np.where(np.isinf(values), 0.0, values)
-        infinite.x.array[:] = np.isinf(values)
-        there = np.abs(self._evaluated(infinite, points)) > PARTITION
-        return np.where(there, np.inf, self._evaluated(finite, points))
-
-    def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
-        """Values of a Function on this mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import values_of  # only if requested
-
-        parents = None if self.level.pair.nested_hierarchy else self.cut.parents
-        return values_of(function, points, level=self.plain.level, parents=parents)
-
-    def functions(self) -> dict[str, fem.Function]:
-        """The scalar fields by name, those that exist."""
-        named = {key: getattr(self, key) for key in ("u", "pressure", "contact", "lower", "upper")}
-        return {key: function for key, function in named.items() if function is not None}
-
-    def by_cell(self) -> dict[str, fem.Function]:
-        """Further fields that have one value in each cell, by name."""
-        return {}
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The fields on P1 simplices at owned nodes, as files and pictures have them (local)."""
-        owned = self.level.owned
-        return self.with_gap({name: function.x.array[:owned].real for name, function in self.functions().items()})
-
-    @staticmethod
-    def with_gap(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Fields at owned nodes, and with them the distance of u to the nearest obstacle (local)."""
-        gaps = [sign * (own[name] - own["u"]) for name, sign in (("lower", -1), ("upper", 1)) if name in own]
-        if gaps:
-            own["gap"] = gaps[0] if len(gaps) == 1 else np.minimum(*gaps)
-        return own
-
-    def tables(self) -> dict[str, np.ndarray]:
-        """Further arrays of fields.h5 by their names, the same on every rank."""
-        return {}
-
-    def on_pieces(self, level: Level, fields: Mapping[str, fem.Function], parents: np.ndarray) -> Self:
-        """This solution on P1 simplices that its cells were cut into (local).
-
-        Args:
-            level: The simplices.
-            fields: Those of `functions` there.
-            parents: For each owned simplex the cell it was cut from.
-        """
-        fields["u"].name = self.u.name
-        return replace(self, level=level, tension=None, **fields)
 
     def summary(self) -> str:
         """The main values in a few lines of text."""
@@ -401,7 +325,7 @@ class Solution:
 
         if str(folder) == "":
             raise InputError("save: folder = '': an empty name; take '.' for the present folder")
-        save(self, Path(folder))
+        save(Path(folder), self.fields, self.history, self.record, self.files)
 
     def files(
         self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]
@@ -430,12 +354,8 @@ class Solution:
         """
         from fenicsx_obstacle.io.folder import read
 
-        fields = read(Path(folder), comm).fields
-        if "nodes" in fields:
-            from fenicsx_obstacle.problems.vector_valued import saved  # no scalar solution needs it
-
-            return saved(fields)
-        return cls(**{name: value for name, value in fields.items() if name != "error"})
+        saved = read(Path(folder), comm)
+        return cls(replace(saved.fields, error=None), saved.history, saved.record, saved.bound)
 
     @checked()
     def plot(self, path: str | Path | None = None) -> Picture:
@@ -450,6 +370,8 @@ class Solution:
         Raises:
             InputError: If the name has another ending, or the file cannot be written.
         """
-        from fenicsx_obstacle.show.pictures import draw_answer
+        from fenicsx_obstacle.show.pictures import draw
 
-        return draw_answer(self.shown, None if path is None else Path(path))
+        shown = self.shown
+        sides = [side for side in ("lower", "upper") if side in shown.record["contact"]]
+        return draw(shown.fields, sides, shown.title, self.symbol, None if path is None else Path(path))

@@ -1,4 +1,4 @@
-"""The parts of a solution that have types of their own: forces, times, errors, adaptive meshes, profiles."""
+"""The parts of a solution that have types of their own: times, errors, adaptive meshes, profiles."""
 
 from __future__ import annotations
 
@@ -6,19 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-
-
-@dataclass(frozen=True)
-class Force:
-    """The contact force on each obstacle: the integral of the absolute value of the contact pressure.
-
-    Attributes:
-        lower: Force on the lower obstacle, >= 0; None if there is no lower obstacle.
-        upper: Force on the upper obstacle, >= 0; None if there is no upper obstacle.
-    """
-
-    lower: float | None
-    upper: float | None
 
 
 @dataclass(frozen=True)

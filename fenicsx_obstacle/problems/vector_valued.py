@@ -1,11 +1,8 @@
-"""Vector-valued problems: weighted measures of facets, contact tables and solutions."""
+"""Vector-valued problems: weighted measures of facets, von Mises stress, contact nodes and their patches."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeVar
+from typing import Any
 
 import numpy as np
 import ufl
@@ -13,270 +10,20 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.contact_nodes import VectorLevel, over
 from fenicsx_obstacle.discrete.fields import check_real, foreign
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.contact import Contact
-from fenicsx_obstacle.parallel import before
+from fenicsx_obstacle.fields.contact_table import ContactTable
+from fenicsx_obstacle.fields.scalar import Fields
+from fenicsx_obstacle.fields.vector import VectorFields
 from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
-from fenicsx_obstacle.problems.solution import PARTITION, Solution
-from fenicsx_obstacle.problems.values import Force
-from fenicsx_obstacle.text import nearest, shown
+from fenicsx_obstacle.text import shown
 
 SAME = 1e-9  # of the size of the contact set: coordinates that differ by round-off
-Vector = TypeVar("Vector", bound="VectorSolution")
-NO_STRESS = "give the problem its stress in UFL, stress=sigma(u)"
-
-
-@dataclass(frozen=True, eq=False)
-class ContactTable:
-    """The contact nodes of all ranks, in the order of their coordinates; the same arrays on every rank.
-
-    Attributes:
-        points: Coordinates, shape (n, gdim).
-        normals: Unit normals N_i, shape (n, gdim).
-        areas: D_i, the area (in the plane the length) that belongs to a node, with the factor of the measure.
-        pressure: Contact pressure p_i: >= 0 at the lower obstacle, <= 0 at the upper obstacle.
-        gap: Distance to the nearest obstacle along N_i. In contact it is -eps |p_i|.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    areas: np.ndarray
-    pressure: np.ndarray
-    gap: np.ndarray
-
-    @property
-    def forces(self) -> np.ndarray:
-        """Forces p_i D_i N_i of the obstacles on the body, shape (n, gdim)."""
-        return (self.pressure * self.areas)[:, None] * self.normals
-
-    @property
-    def resultant(self) -> np.ndarray:
-        """Sum of the forces, shape (gdim,)."""
-        return self.forces.sum(axis=0)
-
-    def moment(self, about: Any = None) -> np.ndarray | float:
-        """Moment of the forces about a point, in the plane a number.
-
-        Args:
-            about: Point, shape (gdim,); by default the origin.
-        """
-        arms = self.points if about is None else self.points - np.asarray(about, dtype=float)
-        if arms.shape[1] == 3:
-            return np.cross(arms, self.forces).sum(axis=0)
-        return float(np.sum(arms[:, 0] * self.forces[:, 1] - arms[:, 1] * self.forces[:, 0]))
-
-    def radius_of_gyration(self, about: Any = None) -> float:
-        """The square root of sum |p_i| D_i |x_i - c|^2 / sum |p_i| D_i, a length; not-a-number without contact.
-
-        The half-width of a Hertzian contact is this length times 2 for a cylinder, and times sqrt(5/2) for a ball. The
-        error of this half-width is O(h^2); a half-width from counting nodes in contact has an error of O(h).
-
-        Args:
-            about: The middle c, shape (gdim,); by default the mean of the contact points, weighted by their forces.
-        """
-        size = np.abs(self.pressure * self.areas)
-        if size.sum() == 0:
-            return np.nan
-        middle = size @ self.points / size.sum() if about is None else np.asarray(about, dtype=float)
-        return float(np.sqrt(size @ ((self.points - middle) ** 2).sum(axis=1) / size.sum()))
-
-    def ends(self) -> np.ndarray:
-        """The two ends of each piece of the contact set, for plane and axially symmetric bodies; shape (pieces, 2, 2).
-
-        Near the contact of smooth surfaces the gap grows like d^(3/2) with the distance d from the contact. Therefore
-        gap^(2/3) is linear. It is extrapolated to 0 from the second to the fourth node without contact. The error is
-        much smaller than the distance between nodes. If contact reaches the last node of the boundary, the end is this
-        node. If one of the three nodes does not exist or is in contact, the end is not-a-number.
-
-        Raises:
-            InputError: If the body is not plane.
-        """
-        if self.points.shape[1] != 2:
-            raise InputError("ends() is for plane and axially symmetric bodies; radius_of_gyration() also for others")
-        along = np.linalg.svd(self.points - self.points.mean(axis=0), full_matrices=False)[2][0]
-        along = along * np.sign(along[np.argmax(np.abs(along))])
-        s = self.points @ along
-        order = np.argsort(s)
-        s, points, gap, closed = s[order], self.points[order], self.gap[order], self.pressure[order] != 0
-        steps = np.diff(np.concatenate([[False], closed, [False]]).astype(int))
-        found = []
-        for first, last in zip(np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1, strict=True):
-            end = [_zero(s, gap, closed, first, -1), _zero(s, gap, closed, last, 1)]
-            found.append(np.column_stack([np.interp(end, s, column) for column in points.T]))
-        return np.array(found).reshape(-1, 2, 2)
-
-
-def _zero(s: np.ndarray, gap: np.ndarray, closed: np.ndarray, last: int, step: int) -> float:
-    """Where the gap vanishes beyond the last closed node, in the direction of a step."""
-    if not 0 <= last + step < len(s):
-        return float(s[last])
-    rows = last + step * np.array([2, 3, 4])
-    rows = rows[(rows >= 0) & (rows < len(s))]
-    if len(rows) < 3 or closed[rows].any() or not (np.isfinite(gap[rows]) & (gap[rows] > 0)).all():
-        return float("nan")
-    slope, value = np.polyfit(s[rows], gap[rows] ** (2 / 3), 1)
-    return float(-value / slope)
-
-
-@dataclass(frozen=True)
-class VectorForce(Force):
-    """The contact forces of a body; the resultant and the moment are those of the forces on the body.
-
-    Attributes:
-        resultant: Sum of the forces, shape (gdim,).
-        moment: Moment of the forces about the origin, shape (3,), in the plane a number. `nodes.moment(about)` is the
-            moment about another point.
-    """
-
-    resultant: np.ndarray
-    moment: np.ndarray | float
-
-
-@dataclass(frozen=True, eq=False)
-class VectorSolution(Solution):
-    """A converged vector-valued solution.
-
-    Attributes:
-        nodes: Coordinates, normals, areas, pressures and gaps of the contact nodes.
-        gap: Distance to the nearest obstacle, a Function; not-a-number at nodes that are not on the contact boundary.
-        von_mises: Von Mises stress in the middle of each cell, piecewise constant; None if no stress was given.
-    """
-
-    nodes: ContactTable = field(kw_only=True, repr=False)
-    gap: fem.Function = field(kw_only=True, repr=False)
-    von_mises: fem.Function | None = field(kw_only=True, repr=False)
-    level: VectorLevel
-
-    @property
-    def force(self) -> VectorForce:
-        """The contact forces: `lower` and `upper`, both >= 0, the `resultant` on the body and its `moment`."""
-        sides = super().force
-        return VectorForce(sides.lower, sides.upper, self.nodes.resultant, self.nodes.moment())
-
-    def _quantities(self, points: np.ndarray) -> dict[str, Any]:
-        names = ("u", "pressure", "gap", *(("von_mises",) if self.von_mises is not None else ()))
-        return {name: self.at(points, name) for name in names}
-
-    def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
-        if of != "gap":
-            return super().values(points, of)
-        level, unknown = self.level.scalar, np.isnan(self.gap.x.array)
-        gap, known = fem.Function(level.V), fem.Function(level.V)
-        known.x.array[:] = ~unknown
-        gap.x.array[:] = np.where(unknown, 0.0, self.gap.x.array)
-        inside = self._evaluated(known, points) > 1 - PARTITION  # all nodes that count there have a gap
-        return np.where(inside, self._with_infinities(gap, points), np.nan)
-
-    def _shape(self, of: str) -> tuple[int, ...]:
-        return (self.level.mesh.geometry.dim,) if of == "u" else ()
-
-    def _components(self, of: str) -> list[fem.Function]:
-        known = ("u", "pressure", "gap", "von_mises")
-        if of not in known:
-            raise InputError(
-                f"at() of a vector-valued solution has no quantity '{of}'{nearest(of, known)}; "
-                "normals and forces are in solution.nodes"
-            )
-        if of == "u":
-            return [self.level.component(self.u, k) for k in range(self.level.components)]
-        if of == "von_mises" and self.von_mises is None:
-            raise InputError(f"at() has no von_mises here: {NO_STRESS}")
-        return [getattr(self, of)]
-
-    def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
-        return values_of(function, points)
-
-    def functions(self) -> dict[str, fem.Function]:
-        """The scalar fields by name; components of u are u0, u1, u2."""
-        parts = {f"u{k}": self.level.component(self.u, k) for k in range(self.level.components)}
-        return {**parts, "pressure": self.pressure, "contact": self.contact, "gap": self.gap}
-
-    def by_cell(self) -> dict[str, fem.Function]:
-        return {} if self.von_mises is None else {"von_mises": self.von_mises}
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The fields on P1 simplices, as files and pictures have them: u with three components, von_mises by cells
-        (local)."""
-        owned, fields = self.level.scalar.owned, self.functions()
-        u = np.zeros((owned, 3))
-        for k in range(self.level.components):
-            u[:, k] = fields.pop(f"u{k}").x.array[:owned]
-        found = {"u": u, **{name: function.x.array[:owned].copy() for name, function in fields.items()}}
-        if self.von_mises is not None:
-            dofs = releases.cell_dofs(self.von_mises.function_space)[: own_cells(self.level.mesh), 0]
-            found["von_mises"] = self.von_mises.x.array[dofs]
-        return found
-
-    def tables(self) -> dict[str, np.ndarray]:
-        """The contact nodes."""
-        return {f"nodes/{one.name}": getattr(self.nodes, one.name) for one in dataclasses.fields(self.nodes)}
-
-    def on_pieces(self, level: Level, fields: Mapping[str, fem.Function], parents: np.ndarray) -> Self:
-        von_mises = None
-        if self.von_mises is not None:
-            space = releases.functionspace(level.mesh, "DG", 0)
-            von_mises = fem.Function(space)
-            from_dofs = releases.cell_dofs(self.von_mises.function_space)[parents, 0]
-            von_mises.x.array[releases.cell_dofs(space)[: len(parents), 0]] = self.von_mises.x.array[from_dofs]
-            von_mises.x.scatter_forward()
-        return _assembled(self, level, fields, von_mises)
-
-    def with_values(self, given: Mapping[str, np.ndarray]) -> Self:
-        """This solution, of P1 simplices, with other values (collective).
-
-        Args:
-            given: u, pressure, contact, gap and von_mises in the order of `io.folder.gather`, the same on every rank.
-        """
-        level, mesh = self.level.scalar, self.level.mesh
-        fields, first = {}, level.V.dofmap.index_map.local_range[0]
-        for name in self.functions():
-            values = given["u"][:, int(name[1:])] if name not in given else given[name]
-            fields[name] = fem.Function(level.V)
-            fields[name].x.array[: level.owned] = values[first : first + level.owned]
-            fields[name].x.scatter_forward()
-        von_mises = None
-        if "von_mises" in given:
-            von_mises = fem.Function(releases.functionspace(mesh, "DG", 0))
-            dofs = releases.cell_dofs(von_mises.function_space)[: own_cells(mesh), 0]
-            start = before(level.comm, len(dofs))
-            von_mises.x.array[dofs] = given["von_mises"][start : start + len(dofs)]
-            von_mises.x.scatter_forward()
-        points = np.concatenate(level.comm.allgather(level.points.T[: level.owned]))
-        near = cKDTree(points[:, : mesh.geometry.dim]).query(self.nodes.points)[1]
-        nodes = replace(self.nodes, **{name: given[name][near].astype(float) for name in ("pressure", "gap")})
-        return replace(_assembled(self, level, fields, von_mises), nodes=nodes)
-
-
-def _assembled(
-    solution: Vector, level: Level, fields: Mapping[str, fem.Function], von_mises: fem.Function | None
-) -> Vector:
-    """The same solution with other functions, on another mesh (collective)."""
-    new, components = over(level), [fields[f"u{k}"] for k in range(level.mesh.geometry.dim)]
-    rest = {name: fields[name] for name in ("pressure", "contact", "gap")}
-    return replace(solution, level=new, u=new.vector(components), von_mises=von_mises, **rest)
-
-
-def saved(fields: Mapping[str, Any]) -> VectorSolution:
-    """A solution of what a folder holds (collective).
-
-    Args:
-        fields: Those of `fenicsx_obstacle.io.folder.read`.
-    """
-    level = over(fields["level"])
-    u = level.vector([fields[f"u{k}"] for k in range(level.components)])
-    kept = {name: fields[name] for name in ("pressure", "contact", "lower", "upper", "history", "record", "gap")}
-    nodes = ContactTable(**{name: np.array(values) for name, values in fields["nodes"].items()})
-    return VectorSolution(level=level, u=u, nodes=nodes, von_mises=fields.get("von_mises"), **kept)
 
 
 class VonMises:
@@ -314,24 +61,26 @@ class VonMises:
         return found
 
 
-def vector_solution(
-    problem: Problem, contact: Contact, von_mises: fem.Function | None, fields: tuple[Any, ...]
-) -> VectorSolution:
-    """The solution of a solved problem (collective).
+def vector_fields(
+    problem: Problem, contact: Contact, scalar: Fields, von_mises: fem.Function | None
+) -> tuple[VectorFields, dict[str, Any]]:
+    """The fields of a solved problem, and what its record says of contact besides (collective).
 
     Args:
         problem: Vector-valued.
         contact: Its contact.
+        scalar: u, pressure, contact set and obstacles.
         von_mises: Its von Mises stress.
-        fields: Those of `Solution` after the level, from u to the tension.
     """
     assert isinstance(problem, VectorProblem)
     nodes, gap = contact_table(problem, contact.pressure), problem.gap_function(np.minimum(*problem.gaps()))
-    solution = VectorSolution(problem.level, *fields, nodes=nodes, gap=gap, von_mises=von_mises)
+    fields = VectorFields(
+        problem.level, scalar.u, scalar.pressure, scalar.contact, scalar.lower, scalar.upper, nodes=nodes, gap=gap,
+        von_mises=von_mises,
+    )  # fmt: skip
     more = {"resultant": nodes.resultant.tolist(), "moment": np.asarray(nodes.moment()).tolist(),
-            "patches": contact_patches(problem, contact, solution.contact)}  # fmt: skip
-    record = {**solution.record, "contact": {**solution.record["contact"], **more}}
-    return replace(solution, record=record)
+            "patches": contact_patches(problem, contact, fields.contact)}  # fmt: skip
+    return fields, more
 
 
 def contact_table(problem: VectorProblem, p: np.ndarray) -> ContactTable:

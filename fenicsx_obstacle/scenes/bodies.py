@@ -30,9 +30,10 @@ from fenicsx_obstacle.effects.domain.elasticity import Elasticity
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
-from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
+from fenicsx_obstacle.problems.solution import Solution
 
 MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
 MAX_SHARE = 0.2  # of the longest side of the body: displacements are small
@@ -252,7 +253,7 @@ class Body:
 
         return interpolated
 
-    def solve(self, options: SolverOptions) -> VectorSolution:
+    def solve(self, options: SolverOptions) -> Solution:
         """Solve; an obstacle with a force is moved until it presses with it (collective).
 
         Raises:
@@ -267,13 +268,12 @@ class Body:
         self._check_small(solution)
         return solution
 
-    def _solved(self, eps: Any, method: str) -> VectorSolution:
+    def _solved(self, eps: Any, method: str) -> Solution:
         with self._naming_parts():
             solution = self.problem.solve(eps=eps, method=method)
-        assert isinstance(solution, VectorSolution)
         return solution
 
-    def _pressed(self, one: Facing, solve: Callable[[], VectorSolution]) -> VectorSolution:
+    def _pressed(self, one: Facing, solve: Callable[[], Solution]) -> Solution:
         """The solution with the obstacle moved until it presses with its force (collective).
 
         The power of the force that is nearly linear in the approach for Hertz's contact is interpolated linearly
@@ -354,7 +354,7 @@ class Body:
             return f"loads up to about {share:.2g} times these"
         return f"a force up to about {', '.join(f'{force:.2g}' for force in forces)}"
 
-    def _check_small(self, solution: VectorSolution) -> None:
+    def _check_small(self, solution: Solution) -> None:
         """Reject solutions that are no small displacements (collective).
 
         Raises:

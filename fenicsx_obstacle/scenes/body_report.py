@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from fenicsx_obstacle.effects.boundary.obstacle import HERTZ
-from fenicsx_obstacle.problems.vector_valued import ContactTable, VectorSolution
+from fenicsx_obstacle.fields.contact_table import ContactTable
+from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.scenes.bodies import Body, Facing, part_of
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.functionals import Report
@@ -28,14 +29,15 @@ class BodyReport(Report):
     def __init__(self, body: Body, scene: Scene):
         super().__init__(body.data, scene)
 
-    def of(self, solution: VectorSolution, known: Mapping[str, float]) -> dict[str, float | None]:
+    def of(self, solution: Solution, known: Mapping[str, float]) -> dict[str, float | None]:
         """All output quantities, in order; None if one is not finite (collective).
 
         Args:
             solution: On this mesh.
             known: Those of `contact_quantities`.
         """
-        parts = {f"u_{axis}": solution.level.component(solution.u, k) for k, axis in enumerate("xyz"[: self._dim])}
+        found = solution.functions()
+        parts = {f"u_{axis}": found[f"u{k}"] for k, axis in enumerate("xyz"[: self._dim])}
         self._nodal = {**parts, "p": solution.pressure, "contact": solution.contact}
         if solution.von_mises is not None:
             self._nodal["von_mises"] = solution.von_mises
@@ -50,7 +52,7 @@ class BodyReport(Report):
         return super()._is_known(formula) and not names & set(BODY_QUANTITIES)
 
 
-def contact_quantities(body: Body, solution: VectorSolution) -> dict[str, float]:
+def contact_quantities(body: Body, solution: Solution) -> dict[str, float]:
     """Numbers of the contact by their names in [report]; those that a body does not have are not-a-number.
 
     half_width and peak are those of the first sphere or cylinder: the half-width by the second moment of the pressure
@@ -72,7 +74,7 @@ def contact_quantities(body: Body, solution: VectorSolution) -> dict[str, float]
     return found
 
 
-def contact_remarks(body: Body, solution: VectorSolution) -> tuple[str, ...]:
+def contact_remarks(body: Body, solution: Solution) -> tuple[str, ...]:
     """What the user should know of the contact, in words."""
     one = _round(body)
     if one is None or not np.isnan(_hertzian(one, part_of(one, solution.nodes))[0]):

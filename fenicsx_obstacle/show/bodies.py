@@ -15,7 +15,7 @@ from fenicsx_obstacle.show.render import EYE, FREE, OBSTACLE, axes_of_view
 from fenicsx_obstacle.show.space import draw_views
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.problems.vector_valued import ContactTable
+    from fenicsx_obstacle.fields.contact_table import ContactTable
 
 AROUND = 4.0  # half the side of the part that is drawn, in units of the size of the contact set
 WHOLE = 0.7  # of the size of the body: a part as large as that is the body

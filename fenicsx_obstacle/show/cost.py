@@ -10,7 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.io.origin import command, versions
+from fenicsx_obstacle.origin import command, versions
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import cost_tables as tables

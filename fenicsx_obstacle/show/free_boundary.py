@@ -8,38 +8,38 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.io.cut import OnNodes, on_nodes
+from fenicsx_obstacle.fields.cut import OnNodes
+from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.parallel import gathered, largest, on_root, write_text
-from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, gap, pressed, with_levels
 
 
-def write_free_boundary(solution: Solution, path: Path) -> None:
+def write_free_boundary(fields: Fields, path: Path) -> None:
     """Write one line per piece of the free boundary: the coordinates of its ends, or of its corners (collective).
 
     Raises:
         InputError: If the file cannot be written.
     """
-    on_root(solution.level.comm, _write, near_free_boundary(solution), path)
+    on_root(fields.level.comm, _write, near_free_boundary(fields), path)
 
 
-def near_free_boundary(solution: Solution) -> Patch | None:
+def near_free_boundary(fields: Fields) -> Patch | None:
     """The cells within `RINGS` of a free boundary with their levels, on rank 0; None elsewhere (collective)."""
-    shown = on_nodes(solution) or on_nodes(solution.plain)
+    shown = fields.on_nodes() or fields.plain.on_nodes()
     assert shown is not None  # plain has the nodes of P1
-    level, owned, fields = shown.level, shown.level.owned, shown.fields
-    sides = [side for side in SIDES if side in fields]
-    gaps = {side: max(0.0, largest(level.comm, gap(fields, side)[:owned])) for side in sides}
-    near, nodes = _near(shown, [pressed(fields, side) for side in sides])
+    level, owned, values = shown.level, shown.level.owned, shown.fields
+    sides = [side for side in SIDES if side in values]
+    gaps = {side: max(0.0, largest(level.comm, gap(values, side)[:owned])) for side in sides}
+    near, nodes = _near(shown, [pressed(values, side) for side in sides])
     rows = np.flatnonzero(nodes[:owned])
     parts: dict[str, np.ndarray] = {
         "numbers": shown.global_(rows),
         "cells": shown.global_(shown.cells[near]),
         "points": level.points.T[rows],
-        **{name: fields[name][rows] for name in ("u", "pressure", "contact", *sides)},
+        **{name: values[name][rows] for name in ("u", "pressure", "contact", *sides)},
     }
-    found = {name: gathered(level.comm, values) for name, values in parts.items()}
-    whole = {name: values for name, values in found.items() if values is not None}
+    found = {name: gathered(level.comm, part) for name, part in parts.items()}
+    whole = {name: part for name, part in found.items() if part is not None}
     if not whole:
         return None
     # owned numbers rise from rank to rank: the nodes stay in their order

@@ -34,7 +34,7 @@ def animate_newton(answer: Answer, path: Path) -> str:
         One line: what is drawn, or why nothing is.
     """
     comm, scene, options = answer.level.comm, answer.scene, answer.scene.options
-    arrays = gather(answer)
+    arrays = gather(answer.fields)
     flat = answer.level.mesh.topology.dim == 2 == answer.level.mesh.geometry.dim
     if not flat or scene.time is not None or (answer.lower is None and answer.upper is None):
         return f"{path.name} is for stationary plane problems: not drawn"

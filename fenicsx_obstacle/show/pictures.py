@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, patch_of
@@ -34,10 +35,6 @@ from fenicsx_obstacle.show.figures import (
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles, heights, pressures
 from fenicsx_obstacle.show.render import FREE, OBSTACLE, UPPER
 from fenicsx_obstacle.show.space import cut_at, draw_views
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.problems.solution import Solution
-
 
 BELOW = "#8F9BA5"  # what `render.OBSTACLE` looks like below u, which is `render.FREE` with an opacity
 PLANE = 1e-12  # of the extent: a mesh in space is plane where z differs less
@@ -71,24 +68,34 @@ class Picture:
         return data.getvalue()
 
 
-def draw_answer(solution: Solution, path: Path | None) -> Picture:
+def draw(fields: Fields, sides: Sequence[str], title: str, symbol: str, path: Path | None) -> Picture:
     """Draw a solution, into a file, PNG, PDF or SVG by its name, if there is one (collective).
+
+    Args:
+        fields: Of the solution.
+        sides: Its obstacles, "lower" and "upper".
+        title: Above the picture.
+        symbol: The label of u.
+        path: The file.
 
     Raises:
         InputError: If the name has another ending, the file cannot be written, or the mesh is a network of intervals.
     """
     if path is not None:
         check_name(path)
-    arrays, pages = gather(solution), list[Any]()  # the page stays on rank 0
-    said = on_root(solution.level.comm, _draw, solution, arrays, path, pages)
+    arrays, pages = gather(fields), list[Any]()  # the page stays on rank 0
+    said = on_root(fields.level.comm, _draw, fields, sides, heading(title), symbol, arrays, path, pages)
     return Picture(said, pages[0] if pages else None)
 
 
-def _draw(solution: Solution, arrays: dict[str, np.ndarray], path: Path | None, pages: list[Any]) -> str:
+def _draw(
+    fields: Fields, sides: Sequence[str], title: str, symbol: str, arrays: dict[str, np.ndarray], path: Path | None,
+    pages: list[Any],
+) -> str:  # fmt: skip
     if (largest := max(np.abs(arrays[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
         raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
-    page, who = _drawn(solution, arrays)
-    page.suptitle(heading(solution.title), fontsize=12)
+    page, who = _drawn(fields, sides, symbol, arrays)
+    page.suptitle(title, fontsize=12)
     pages.append(page)
     if path is None:
         return f"drawn by {who}"
@@ -96,20 +103,20 @@ def _draw(solution: Solution, arrays: dict[str, np.ndarray], path: Path | None, 
     return f"{path}: drawn by {who}"
 
 
-def _drawn(solution: Solution, arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
+def _drawn(fields: Fields, sides: Sequence[str], symbol: str, arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
     """The page without its title, and who drew it."""
     if arrays["u"].ndim == 2:
-        from fenicsx_obstacle.problems.vector_valued import VectorSolution  # no scalar solution needs them
+        from fenicsx_obstacle.fields.vector import VectorFields  # no scalar solution needs them
         from fenicsx_obstacle.show.bodies import draw_body
 
-        assert isinstance(solution, VectorSolution)
-        sides = {"upper": 1.0, "lower": -1.0}
-        return draw_body(arrays, solution.nodes, [sides[one] for one in sides if one in solution.record["contact"]])
-    patch, u = patch_of({**arrays, "u": steady(arrays["u"])}), plain(solution.symbol)
+        assert isinstance(fields, VectorFields)
+        along = {"upper": 1.0, "lower": -1.0}
+        return draw_body(arrays, fields.nodes, [along[one] for one in along if one in sides])
+    patch, u = patch_of({**arrays, "u": steady(arrays["u"])}), plain(symbol)
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
-    p = f"contact pressure p, computed {COMPUTED[solution.level.pair.pressure[0]]}, linear between"
+    p = f"contact pressure p, computed {COMPUTED[fields.level.pair.pressure[0]]}, linear between"
     if np.any(patch.fields["pressure"] != arrays["pressure"]):
         p += " (where u is given: the mean of the neighbours)"
     if kind == 2:

@@ -11,7 +11,7 @@ from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
-from fenicsx_obstacle.io.origin import program
+from fenicsx_obstacle.origin import program
 from fenicsx_obstacle.parallel import on_root, peak_memory_mb
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.free_boundary import write_free_boundary
@@ -53,7 +53,7 @@ def report_command(
     if of_body:
         on_root(comm, (folder / "free_boundary.csv").unlink, True)
     else:
-        write_free_boundary(answer, folder / "free_boundary.csv")
+        write_free_boundary(answer.fields, folder / "free_boundary.csv")
     for name in (PICTURE, page.NAME):  # of an earlier answer: none is left where a new one cannot be written
         on_root(comm, (folder / name).unlink, True)
     file = folder / PICTURE if picture and has_picture(answer) else None
@@ -63,7 +63,7 @@ def report_command(
         if answer.bound is not None:
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
-            said += "\n  " + draw_bound(answer.bound, gather(answer), comm, folder / NAME)
+            said += "\n  " + draw_bound(answer.bound, gather(answer.fields), comm, folder / NAME)
             others["Contribution of each cell to the bound"] = folder / NAME
     else:
         said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
@@ -79,7 +79,7 @@ def report_command(
         drawn = draw_profiles(answer, folder)
     moving = None
     if answer.time_history is not None:
-        moving, words = on_root(comm, _draw_course, answer, gather(answer), folder, picture)
+        moving, words = on_root(comm, _draw_course, answer, gather(answer.fields), folder, picture)
         said += words
     if started is not None:
         seconds = {**answer.record["seconds"], "total": time.perf_counter() - started}

@@ -9,7 +9,7 @@ from textwrap import fill
 from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.io.origin import command
+from fenicsx_obstacle.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page

@@ -13,10 +13,11 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.bodies import BodyAnswer, BodyContext
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.bodies import BodyContext
 from fenicsx_obstacle.errors import InputError, NotConverged
+from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.problems.vector_valued import ContactTable
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.invariants import Finding, violated
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
@@ -29,7 +30,7 @@ AUTO = 1e-3  # eps = "auto" in units of h/E
 
 @dataclass(frozen=True)
 class _Solved:
-    answer: BodyAnswer
+    answer: Answer
     u: np.ndarray
     energy: float  # a(u, u)
 

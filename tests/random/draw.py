@@ -19,7 +19,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.checkout import ROOT
 from fenicsx_obstacle.errors import InputError, ObstacleError
-from fenicsx_obstacle.io.origin import versions
+from fenicsx_obstacle.origin import versions
 from fenicsx_obstacle.studies.rows import RowStore
 from fenicsx_obstacle.text import nearest
 from tests.hard.row import FAILED, REJECTED, RIGHT, Row

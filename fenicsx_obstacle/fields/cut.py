@@ -6,9 +6,9 @@ cells the centres become nodes too, or a mean at the vertices would hide what di
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import permutations, product
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
@@ -21,31 +21,29 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import before
 
-if TYPE_CHECKING:
-    from fenicsx_obstacle.problems.solution import Solution
-
-
 _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
 
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A solution on cut cells.
+    """Functions on cut cells.
 
     Attributes:
-        plain: The solution, on P1 simplices.
-        nodes: Global dof of `plain` at each node of each owned cell, in DOLFINx's order of the dofs of V_h in a cell.
-        parents: For each owned cell of `plain` the local cell it was cut from.
+        level: The P1 simplices.
+        functions: The functions there, by name.
+        nodes: Global dof of `level` at each node of each owned cell, in DOLFINx's order of the dofs of V_h in a cell.
+        parents: For each owned cell of `level` the local cell it was cut from.
     """
 
-    plain: Solution
+    level: Level
+    functions: dict[str, fem.Function]
     nodes: np.ndarray
     parents: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class OnNodes:
-    """A solution on P1 simplices whose nodes are the dofs of V_h: no mesh is made of them.
+    """Fields on P1 simplices whose nodes are the dofs of V_h: no mesh is made of them.
 
     Attributes:
         level: With V_h.
@@ -73,9 +71,8 @@ def global_dofs(level: Level, dofs: np.ndarray) -> np.ndarray:
     return found.astype(np.int32 if level.dofs <= np.iinfo(np.int32).max else np.int64).reshape(dofs.shape)
 
 
-def on_nodes(solution: Solution) -> OnNodes | None:
-    """A scalar solution on simplices; None where these need other nodes than the dofs of V_h (collective)."""
-    level = solution.level
+def on_nodes(level: Level, functions: Mapping[str, fem.Function]) -> OnNodes | None:
+    """Scalar functions on simplices; None where these need other nodes than the dofs of V_h (collective)."""
     if level.scalar is not level or not level.pair.nodal:
         return None
     V, own = level.V, own_cells(level.mesh)
@@ -88,13 +85,12 @@ def on_nodes(solution: Solution) -> OnNodes | None:
             return function.x.array.real
         return _means(level, function.x.array[releases.cell_dofs(space)[:own]] @ at_nodes(level).T).real
 
-    fields = {name: nodal(function) for name, function in solution.functions().items()}
+    fields = {name: nodal(function) for name, function in functions.items()}
     return OnNodes(level, dofs, dofs[:, pieces].reshape(-1, pieces.shape[1]), fields)
 
 
-def cut(solution: Solution) -> Cut:
-    """Cut the cells of a solution of another element (collective)."""
-    level = solution.level.scalar
+def cut(level: Level, functions: Mapping[str, fem.Function]) -> Cut:
+    """Cut the cells of functions of another element, of scalar spaces (collective)."""
     mesh, comm = level.mesh, level.comm
     cell, dim, gdim = releases.cell_name(mesh), mesh.topology.dim, mesh.geometry.dim
     V, own, count = level.V, own_cells(mesh), level.owned
@@ -127,11 +123,11 @@ def cut(solution: Solution) -> Cut:
         result.x.scatter_forward()
         return result
 
-    fields: dict[str, Any] = {name: moved(function) for name, function in solution.functions().items()}
+    fields = {name: moved(function) for name, function in functions.items()}
     parents, found = kept // len(pieces), np.empty(nodes.shape, dtype=np.int64)
     global_dofs = pieced.V.dofmap.index_map.local_to_global(targets.astype(np.int32).ravel())
     found[parents[:, None], corners] = np.asarray(global_dofs).reshape(targets.shape)
-    return Cut(solution.on_pieces(pieced, fields, parents), found[:, : dofs.shape[1]], parents)
+    return Cut(pieced, fields, found[:, : dofs.shape[1]], parents)
 
 
 def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
