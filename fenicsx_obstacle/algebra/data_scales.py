@@ -49,12 +49,13 @@ def nearest_gap(problem: System) -> float:
 
     A gap below the last digit of its obstacle is round-off and counts as contact.
     """
-    found = []
+    nearest = np.inf
     for gap, obstacle in zip(problem.gaps(), problem.obstacles(), strict=True):
-        heights = np.abs(np.broadcast_to(obstacle, problem.owned))
-        digit = EPSILON * (heights if problem.nodal else problem.at_points(heights))
-        found.append(np.abs(gap[np.abs(gap) > digit]))
-    return smallest(problem.comm, np.concatenate(found))
+        size, digit = np.abs(gap), np.abs(np.broadcast_to(obstacle, problem.owned))
+        digit *= EPSILON
+        size[size <= (digit if problem.nodal else problem.at_points(digit))] = np.inf
+        nearest = min(nearest, smallest(problem.comm, size))
+    return nearest
 
 
 def negligible_force(problem: System, stiffness: np.ndarray) -> float:
@@ -62,8 +63,10 @@ def negligible_force(problem: System, stiffness: np.ndarray) -> float:
 
     No gap counts as larger than the data: what is negligible does not grow with a u that diverges.
     """
-    data = np.concatenate([problem.given[problem.fixed], *(np.ravel(side) for side in problem.obstacles())])
-    most = largest(problem.comm, np.abs(data[np.isfinite(data)]))
+    data = [problem.given[problem.fixed], *(side for side in problem.obstacles() if np.ndim(side))]
+    most = max(
+        largest(problem.comm, np.abs(values, where=np.isfinite(values), out=np.zeros(len(values)))) for values in data
+    )
     nearest = nearest_gap(problem)
     return NEGLIGIBLE_FORCE * min(nearest, most) * total(problem.comm, stiffness) if np.isfinite(nearest) else 0.0
 

@@ -106,10 +106,9 @@ class Stopping:
         problem = self.problem
         comm = problem.comm
         elastic = problem.elastic.array_r
-        active, residual = self._active(elastic)
+        active, unbalanced = self._active(elastic)
         changed = active != self.before if self.before is not None else active != 0
         forces = problem.load + total(comm, np.abs(elastic[problem.fixed | problem.active_dofs(active != 0)]))
-        unbalanced = total(comm, np.abs(residual))
         krylov = snes.getLinearSolveIterations()
         step = Step(
             active=int(total(comm, np.count_nonzero(active))),
@@ -158,8 +157,8 @@ class Stopping:
         """Go on with another SNES, which counts its iterations from 0."""
         self._krylov = 0
 
-    def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced force."""
+    def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, float]:
+        """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced force (collective)."""
         problem = self.problem
         lower, upper = problem.gaps() if self.exact_bounds else problem.pressed_gaps()
         if self.exact_bounds:
@@ -172,7 +171,7 @@ class Stopping:
         residual[problem.fixed] = 0.0
         active = above.astype(np.int8) - below.astype(np.int8)
         active[~problem.touchable] = 0
-        return active, residual
+        return active, total(problem.comm, np.abs(residual))
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
         """Whether the active set has changed; nodes whose contact force is round-off are not counted."""
