@@ -12,7 +12,7 @@ import re
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -213,8 +213,9 @@ def _remove_stale_sources(seconds: float) -> None:
     """Remove sources that nobody has finished compiling for so long."""
     folder = Path(os.getenv("XDG_CACHE_HOME", Path.home() / ".cache")) / "fenics"
     for source in folder.glob("libffcx_*.c"):
-        if not source.with_suffix(".c.cached").exists() and time.time() - source.stat().st_mtime > seconds:
-            source.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # another process has removed it
+            if not source.with_suffix(".c.cached").exists() and time.time() - source.stat().st_mtime > seconds:
+                source.unlink()
 
 
 def create_vector(V: fem.FunctionSpace) -> PETSc.Vec:

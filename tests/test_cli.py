@@ -173,6 +173,17 @@ def test_nothing_compiles_twice(tmp_path):
     assert counts == [counts[0]] * 3
 
 
+def test_a_source_that_another_process_removes(tmp_path, monkeypatch):
+    """Several processes remove unfinished sources of one cache at once."""
+    source = tmp_path / "fenics" / "libffcx_forms_0.c"
+    source.parent.mkdir()
+    source.write_text("int unfinished")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(Path, "exists", lambda _: bool(source.unlink(missing_ok=True)))
+    releases._remove_stale_sources(0.0)
+    assert not list(source.parent.iterdir())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(["disk", "string"], "disk"))
 def test_explain(name):
