@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -29,48 +28,14 @@ SAMPLES = 9  # of a curve; of a surface in each direction
 ROUNDS = 5  # in which a point comes to lie on two surfaces
 
 
-@dataclass(frozen=True)
-class Arrays:
-    """A mesh as arrays.
-
-    Attributes:
-        points: Coordinates, shape (points, gdim); each is a vertex of a cell.
-        cell: Kind of the cells.
-        cells: Rows of `points`, in DOLFINx's order, shape (cells, vertices).
-        materials: Names of the groups of cells.
-        cell_material: Row of `materials` of each cell; empty without materials.
-        parts: Names of the groups of facets.
-        facets: Rows of `points` of each facet in a group, shape (facets, vertices).
-        facet_part: Row of `parts` of each of these facets.
-        bent: Rows of `points` of each facet on a CAD curve that is no line, in solids on a surface that is no plane.
-        bent_entity: Gmsh's number of that curve or surface, for each of them.
-        cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
-        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
-        remarks: What the user should know of the file.
-        content: A hash of all this, and of samples of the geometry.
-    """
-
-    points: np.ndarray
-    cell: str
-    cells: np.ndarray
-    materials: tuple[str, ...]
-    cell_material: np.ndarray
-    parts: tuple[str, ...]
-    facets: np.ndarray
-    facet_part: np.ndarray
-    bent: np.ndarray
-    bent_entity: np.ndarray
-    cell_entity: np.ndarray
-    straight: bool | None
-    remarks: tuple[str, ...]
-    content: str = ""
-
-
-def arrays_of(model: Any) -> Arrays:
+def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The cells of the highest dimension, and the facets in physical groups.
 
     With physical groups of that dimension only their cells are part of the mesh, as in what Gmsh itself saves;
     otherwise all cells are.
+
+    Returns:
+        The attributes of `meshing.Arrays` that are words, and those that are arrays.
 
     Raises:
         InputError: If there are no cells, or of several kinds; if one is degenerate; if an entity is in two groups; if
@@ -135,11 +100,15 @@ def arrays_of(model: Any) -> Arrays:
     on = _on_mesh(cell, cells, bent)
     plane = [tag for d, tag in rows if d == dim and _is_flat(model.getType(d, tag))]
     surface = np.where(np.isin(surface, plane), 0, surface) if dim == 2 < gdim else surface[:0]
-    return Arrays(
-        points[:, :gdim], cell, np.searchsorted(used, cells), materials, material if materials else material[:0],
-        parts, np.searchsorted(used, facets), facet_part, np.searchsorted(used, bent[on]), entity[on], surface, None,
-        tuple(remarks),
-    )  # fmt: skip
+    words = {
+        "cell": cell, "materials": materials, "parts": parts, "remarks": remarks, "straight": straight(model, dim),
+    }  # fmt: skip
+    return words, {
+        "points": points[:, :gdim], "cells": np.searchsorted(used, cells),
+        "cell_material": material if materials else material[:0], "facets": np.searchsorted(used, facets),
+        "facet_part": facet_part, "bent": np.searchsorted(used, bent[on]), "bent_entity": entity[on],
+        "cell_entity": surface,
+    }  # fmt: skip
 
 
 def _is_flat(kind: str) -> bool:

@@ -13,8 +13,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,24 +24,58 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.confinement import confine
 from fenicsx_obstacle.discrete.gmsh_model import (
-    Arrays,
     arrays_of,
     join_bodies,
     name_bodies,
     on_cad,
     samples,
-    straight,
     ungrouped_cells,
 )
 from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
-DIMENSIONS = {"interval": 1, "triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 GEOMETRY = (".geo", ".step", ".stp")  # files that have a geometry, from which Gmsh makes the mesh
 PER_TURN = 12  # cells around a circle of a STEP file, which says nothing of sizes
 # of files that are no programs, by their endings: what Gmsh does not find there it would run as a .geo
 _BEGINS = {".msh": b"$MeshFormat", ".step": b"ISO-10303-21", ".stp": b"ISO-10303-21"}
 _kept: dict[Path, Arrays] | None = None  # see `read_once`
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """A mesh as arrays.
+
+    Attributes:
+        points: Coordinates, shape (points, gdim); each is a vertex of a cell.
+        cell: Kind of the cells.
+        cells: Rows of `points`, in DOLFINx's order, shape (cells, vertices).
+        materials: Names of the groups of cells.
+        cell_material: Row of `materials` of each cell; empty without materials.
+        parts: Names of the groups of facets.
+        facets: Rows of `points` of each facet in a group, shape (facets, vertices).
+        facet_part: Row of `parts` of each of these facets.
+        bent: Rows of `points` of each facet on a CAD curve that is no line, in solids on a surface that is no plane.
+        bent_entity: Gmsh's number of that curve or surface, for each of them.
+        cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
+        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
+        remarks: What the user should know of the file.
+        content: A hash of all this, and of samples of the geometry.
+    """
+
+    points: np.ndarray
+    cell: str
+    cells: np.ndarray
+    materials: Sequence[str]
+    cell_material: np.ndarray
+    parts: Sequence[str]
+    facets: np.ndarray
+    facet_part: np.ndarray
+    bent: np.ndarray
+    bent_entity: np.ndarray
+    cell_entity: np.ndarray
+    straight: bool | None
+    remarks: Sequence[str]
+    content: str
 
 
 @contextmanager
@@ -135,14 +170,12 @@ def _check(path: Path) -> None:
 
 def _arrays(file: Path) -> Arrays:
     with np.load(file, allow_pickle=False) as stored:
-        words, content = json.loads(str(stored["words"])), sha256()
-        for name in sorted(stored):
-            content.update(f"{name} {stored[name].dtype} {stored[name].shape}".encode() + stored[name].tobytes())
-        return Arrays(
-            stored["points"], words["cell"], stored["cells"], tuple(words["materials"]), stored["cell_material"],
-            tuple(words["parts"]), stored["facets"], stored["facet_part"], stored["bent"], stored["bent_entity"],
-            stored["cell_entity"], words["straight"], tuple(words["remarks"]), content.hexdigest(),
-        )  # fmt: skip
+        arrays = dict(stored)
+    content = sha256()
+    for name in sorted(arrays):
+        content.update(f"{name} {arrays[name].dtype} {arrays[name].shape}".encode() + arrays[name].tobytes())
+    words, _ = json.loads(str(arrays.pop("words"))), arrays.pop("samples")
+    return Arrays(**words, **arrays, content=content.hexdigest())
 
 
 def _run(source: str, target: str) -> int:
@@ -170,18 +203,13 @@ def _run(source: str, target: str) -> int:
                 name_bodies(gmsh.model)
             if suffix in GEOMETRY:
                 gmsh.model.mesh.generate(gmsh.model.getDimension())
-            found = arrays_of(gmsh.model)
-            remarks = [*joined, *found.remarks, *(ungrouped_cells(gmsh.model) if suffix in GEOMETRY else ())]
-            words = {
-                "cell": found.cell, "materials": found.materials, "parts": found.parts, "remarks": remarks,
-                "straight": straight(gmsh.model, DIMENSIONS[found.cell]),
-            }  # fmt: skip
-            np.savez(
-                out, words=json.dumps(words), points=found.points, cells=found.cells, facets=found.facets,
-                cell_material=found.cell_material, facet_part=found.facet_part, bent=found.bent,
-                bent_entity=found.bent_entity, cell_entity=found.cell_entity,
-                samples=samples(gmsh.model) if suffix in GEOMETRY else np.empty(0),
-            )  # fmt: skip
+            words, arrays = arrays_of(gmsh.model)
+            words["remarks"] = [*joined, *words["remarks"]]
+            shape = np.empty(0)
+            if suffix in GEOMETRY:
+                words["remarks"] += ungrouped_cells(gmsh.model)
+                shape = samples(gmsh.model)
+            np.savez(out, words=json.dumps(words), samples=shape, **arrays)
     except InputError as error:
         sys.stdout.write(f"{error}\n")
         return _REJECTED

@@ -9,21 +9,19 @@ import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import file_digest
-from math import prod
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
-from numpy.lib import format as npy
+from numpy.lib.format import open_memmap
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, one_line
 
 COLUMNS = (".csv", ".txt", ".dat", ".xyz")
 ENDINGS = (*COLUMNS, ".npy", ".npz", ".png", ".stl")
 MAX_BYTES = 2_000_000_000
-DENSEST = 1032  # bytes in a byte of an archive, at most
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -145,25 +143,11 @@ def _slowly(text: str, delimiter: str | None, skipped: int, name: str) -> np.nda
 
 
 def _npy(path: Path, name: str) -> Heights:
-    with path.open("rb") as file:
-        return _of_array(_array(file, path.stat().st_size, name), name)
-
-
-def _array(file: Any, size: int, name: str) -> np.ndarray:
-    """An array in NumPy's format, of so many bytes with its head: no more memory is taken than they need."""
     try:
-        version = npy.read_magic(file)
-        if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"its format has version {version}")
-        shape, _, kind = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(file)
-        if prod(shape) * kind.itemsize > size - file.tell():
-            raise ValueError(f"its head claims {prod(shape) * kind.itemsize:.3g} bytes, and there are {size}")
-        file.seek(0)
-        return npy.read_array(file, allow_pickle=False)
+        found = open_memmap(path, mode="r")  # rejects a head that claims more bytes than there are
     except (ValueError, EOFError, TypeError, SyntaxError, TokenError, RecursionError) as error:
-        raise InputError(
-            f"{name}: not a NumPy file: {str(error).splitlines()[0] if str(error) else 'broken'}"
-        ) from None
+        raise InputError(f"{name}: not a NumPy file: {one_line(str(error)) or 'broken'}") from None
+    return _of_array(found, name)
 
 
 def _of_array(found: np.ndarray, name: str) -> Heights:
@@ -175,21 +159,17 @@ def _of_array(found: np.ndarray, name: str) -> Heights:
 
 
 def _npz(path: Path, name: str) -> Heights:
-    from zipfile import BadZipFile, ZipFile
-
     try:
         with ZipFile(path) as archive:
-            members = {one.filename.removesuffix(".npy"): one for one in archive.infolist()}
-            held, found = list(members), dict[str, np.ndarray]()
-            for key, one in members.items():
-                if key not in ("x", "y", "z") and len(held) > 1:
-                    continue
-                if one.file_size > min(MAX_BYTES, DENSEST * (one.compress_size + 1)):
-                    raise InputError(f"{name}: {key} claims {one.file_size:.3g} bytes, too many to be read")
-                with archive.open(one) as file:
-                    found[key] = _array(file, one.file_size, name)
-    except (BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, zlib.error) as error:
-        raise InputError(f"{name}: not a NumPy archive: {error}") from None
+            large = [one.filename for one in archive.infolist() if one.file_size > MAX_BYTES]
+            if large:
+                raise ValueError(f"{large[0]} has more than {MAX_BYTES / 1e9:g} GB")
+        with np.load(path, allow_pickle=False) as arrays:
+            held = arrays.files
+            found = {key: arrays[key] for key in held if key in ("x", "y", "z") or len(held) == 1}
+    except (ValueError, TypeError, SyntaxError, TokenError, RecursionError, EOFError, MemoryError, BadZipFile,
+            NotImplementedError, RuntimeError, zlib.error) as error:  # fmt: skip
+        raise InputError(f"{name}: not a NumPy archive: {one_line(str(error)) or 'broken'}") from None
     if "z" not in found:
         if len(held) == 1:
             return _of_array(found[held[0]], name)
