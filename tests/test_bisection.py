@@ -7,8 +7,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete import levels
-from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
+from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
 from fenicsx_obstacle.discrete.transfer import to_parents
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
 from fenicsx_obstacle.parallel import largest, smallest, total

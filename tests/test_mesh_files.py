@@ -12,9 +12,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, Solution, solve, study
 from fenicsx_obstacle.discrete import meshing
-from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.files import content_of
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM, slow_except

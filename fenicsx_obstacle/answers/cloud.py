@@ -12,12 +12,11 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.discrete.reference import Reference
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule

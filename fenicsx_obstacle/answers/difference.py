@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.points import values_of
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.solution import Solution

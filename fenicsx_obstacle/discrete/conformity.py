@@ -7,10 +7,10 @@ separate membranes: no error shows in the solution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
@@ -20,12 +20,14 @@ from fenicsx_obstacle.discrete.cells import (
     cell_facets,
     corner_simplices,
     corners,
+    edge_lengths,
     facet_corners,
     facet_vertices,
     own_cells,
+    sizes,
+    spanned,
 )
-from fenicsx_obstacle.discrete.mesh_validation import FLAT, place
-from fenicsx_obstacle.discrete.simplex_sizes import edge_lengths, sizes, spanned
+from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
 from fenicsx_obstacle.parallel import first_given, on_root
@@ -33,6 +35,7 @@ from fenicsx_obstacle.text import counted
 
 # of the local length: what is nearer touches; at least what six digits of coordinates resolve, where cells are larger
 NEAR, FEW_DIGITS, LARGEST = 1e-5, 1e-6, 1e-2
+FLAT = 1e-13  # of its longest edge to the power of the dimension: what a cell's volume must exceed
 OVERLAP = 1e-3  # of a facet's width
 INSIDE = 1e-4  # barycentric coordinate of a point that is inside a cell
 _REMEDY = (
@@ -101,38 +104,23 @@ def components(mesh: dmesh.Mesh) -> Components:
     counts = comm.allgather(local)
     labels = labels + sum(counts[: comm.rank])
     facets = mesh.topology.index_map(dim - 1)
-    of_facets = np.full(facets.size_local + facets.num_ghosts, -1)
-    of_facets[table] = labels[:, None]
-    theirs = np.column_stack([np.asarray(facets.ghosts, np.int64), of_facets[facets.size_local :]])
-    links = np.concatenate(comm.allgather(theirs))
-    first, last = facets.local_range
-    here = links[(links[:, 0] >= first) & (links[:, 0] < last)]
-    joined = np.concatenate(comm.allgather(np.column_stack([of_facets[here[:, 0] - first], here[:, 1]])))
-    joined = joined[(joined >= 0).all(axis=1)]
+    of_facets = la.vector(facets)
+    of_facets.array[:] = -1.0
+    of_facets.array[table] = labels[:, None]
+    mine = of_facets.array[facets.size_local :].copy()
+    of_facets.scatter_forward()
+    links = np.column_stack([mine, of_facets.array[facets.size_local :]]).astype(np.int64)
+    joined = np.concatenate(comm.allgather(links[(links >= 0).all(axis=1)]))
     count, merged = connected(sum(counts), joined)
     if count < 2:
         return Components(count, np.zeros(len(table), np.int32))
     labels = merged[labels]
-    mine = _first_midpoints(mesh, labels, count)
-    firsts = np.array(_smallest_rows(comm.allgather(mine)))
-    rank_of = np.empty(count, np.int32)
-    rank_of[np.lexsort(firsts.T[::-1])] = np.arange(count)
-    return Components(count, rank_of[labels])
-
-
-def _first_midpoints(mesh: dmesh.Mesh, labels: np.ndarray, count: int) -> np.ndarray:
-    """The first midpoint of the local cells of each component in lexicographic order, inf where there are none."""
-    found = np.full((count, 3), np.inf)
     middles = corners(mesh).mean(axis=1)
     order = np.lexsort((*middles.T[::-1], labels))
     present, start = np.unique(labels[order], return_index=True)
-    found[present] = middles[order][start]
-    return found
-
-
-def _smallest_rows(tables: list[np.ndarray]) -> list[tuple[float, ...]]:
-    """The lexicographically smallest of each row of tables of the same shape."""
-    return [min(map(tuple, rows)) for rows in zip(*(table.tolist() for table in tables), strict=True)]
+    first = zip(middles[order][start].tolist(), present.tolist(), strict=True)
+    by_place = dict.fromkeys(label for _, label in sorted(chain(*comm.allgather(list(first)))))
+    return Components(count, np.argsort(list(by_place)).astype(np.int32)[labels])
 
 
 def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[Components, tuple[str, ...]]:

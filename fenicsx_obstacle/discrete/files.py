@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import meshing
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
-from fenicsx_obstacle.discrete.gmsh_model import Arrays
+from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.discrete.mesh_validation import validate_mesh
 from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.errors import InputError
@@ -26,35 +27,19 @@ from fenicsx_obstacle.parallel import on_root
 GMSH = (".msh", *meshing.GEOMETRY)
 
 
-@dataclass(frozen=True)
-class MeshFile:
-    """The contents of a mesh file.
-
-    Attributes:
-        mesh: The mesh.
-        facets: Local facets of each named curve (in solids, surface).
-        groups: Owned cells of each named material.
-        bent: As `Level.bent`.
-        straight: As `Level.straight`.
-        remarks: What the user should know of the file.
-    """
-
-    mesh: dmesh.Mesh
-    facets: Groups
-    groups: Groups
-    bent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
-    straight: bool | None = None
-    remarks: tuple[str, ...] = ()
-
-
-def read(path: Path, comm: MPI.Comm) -> MeshFile:
+def read(path: Path, comm: MPI.Comm, *, curved: bool = False) -> Level:
     """The mesh of a file, with its named parts (collective).
 
+    Args:
+        path: The file.
+        comm: Communicator.
+        curved: Whether cells may be of degree 2.
+
     Raises:
-        InputError: If the file is missing, broken, or has cells that DOLFINx does not take.
+        InputError: If the file is missing, broken, or has cells that DOLFINx does not take or that do not fit together.
     """
     on_root(comm, _check, path)
-    return _gmsh(path, comm) if path.suffix.lower() in GMSH else _xdmf(path, comm)
+    return (_gmsh if path.suffix.lower() in GMSH else _xdmf)(path, comm, curved=curved)
 
 
 def content_of(path: Path) -> str:
@@ -105,10 +90,10 @@ def _check(path: Path) -> None:
         raise InputError(f"{path}: a mesh file ends in .msh, .geo, .step (Gmsh) or .xdmf")
 
 
-def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
-    kept: list[Arrays] = []  # points and cells stay on rank 0
+def _gmsh(path: Path, comm: MPI.Comm, *, curved: bool) -> Level:
+    kept: list[meshing.Arrays] = []  # points and cells stay on rank 0
 
-    def load() -> Arrays:
+    def load() -> meshing.Arrays:
         kept.append(meshing.load(path))
         return replace(kept[0], points=kept[0].points[:0], cells=kept[0].cells[:0])
 
@@ -130,10 +115,13 @@ def _gmsh(path: Path, comm: MPI.Comm) -> MeshFile:
     bent = {(dim - 1, k): facets_of(on_curves, found.bent_entity, k) for k in entities}
     surfaces = np.unique(found.cell_entity[found.cell_entity > 0]).tolist()
     bent |= {(dim, k): cells_of(found.cell_entity, k) for k in surfaces}
-    return MeshFile(mesh, named, groups, bent, found.straight, found.remarks)
+    level = of_mesh(mesh, str(path), named, groups, curved=curved)
+    to_cad = partial(meshing.moved, path) if bent else None
+    remarks = *found.remarks, *level.remarks
+    return replace(level, straight=found.straight, remarks=remarks, bent=bent, to_cad=to_cad)
 
 
-def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:
+def _xdmf(path: Path, comm: MPI.Comm, *, curved: bool) -> Level:
     grid, tags, parts = on_root(comm, _grids, path)
     try:
         with io.XDMFFile(comm, str(path), "r") as file:
@@ -149,7 +137,7 @@ def _xdmf(path: Path, comm: MPI.Comm) -> MeshFile:
                     groups |= {str(tag): _owned(mesh, found.find(tag)) for tag in values}
     except (RuntimeError, LookupError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    return MeshFile(mesh, facets, groups)
+    return of_mesh(mesh, str(path), facets, groups, curved=curved)
 
 
 def _owned(mesh: dmesh.Mesh, cells: np.ndarray) -> np.ndarray:
@@ -162,18 +150,12 @@ def _grids(path: Path) -> tuple[str, list[str], Groups]:
     if not grids:
         raise InputError(f"{path}: holds no mesh")
     points, cells = (_array(path, grids[0].find(f"{part}/DataItem"), part) for part in ("Geometry", "Topology"))
-    topology = grids[0].find("Topology")
-    kind = "" if topology is None else topology.get("TopologyType", "")
-    # cells other than simplices are checked with the mesh
-    if cells.shape[1] in (2, 3, 4) and cells.dtype.kind in "iu" and kind.lower() != "quadrilateral":
-        try:
-            validate_mesh(points, cells)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    elif cells.size and not 0 <= cells.min() <= cells.max() < len(points):
-        raise InputError(f"{path}: a cell has a vertex that is not in the file")
-    elif not np.isfinite(points).all():
-        raise InputError(f"{path}: a vertex has a coordinate that is not a finite number")
+    if points.ndim != 2 or cells.ndim != 2 or cells.dtype.kind not in "iu":
+        raise InputError(f"{path}: its mesh has no rows of coordinates and of vertices of cells of one kind")
+    try:
+        validate_mesh(points, cells)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     for item in (item for grid in grids for item in grid.iter("DataItem") if item.get("Format") == "HDF"):
         _check_data(path, item)  # before DOLFINx follows it
     tags = [g.get("Name", "") for g in grids[1:] if g.find("Attribute") is not None]

@@ -80,7 +80,7 @@ def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     _, surface = _joined([(tag, tag) for _, tag in pieces], rows, dim)
     if cell in _TENSOR:
         cells = cells[:, _TENSOR[cell]]
-    validate_mesh(coordinates, cells, cell)
+    validate_mesh(coordinates, cells)
 
     parts = tuple(groups[dim - 1])
     pieces = [(number, tag) for number, name in enumerate(parts) for tag in groups[dim - 1][name]]

@@ -12,10 +12,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
+from fenicsx_obstacle.discrete.cells import cell_facets, corners, edge_lengths, facet_vertices, own_cells
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.shared_dofs import without_cell
-from fenicsx_obstacle.discrete.simplex_sizes import edge_lengths
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import before, on_root, total
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES

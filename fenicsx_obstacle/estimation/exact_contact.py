@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.cells import corners, own_cells
+from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.simplex_sizes import volumes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.norms import ExactSolution
 from fenicsx_obstacle.estimation.quadrature import blocks, rule

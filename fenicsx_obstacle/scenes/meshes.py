@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
-
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete import files, shapes
-from fenicsx_obstacle.discrete.levels import Level, halves_at_once, of_mesh, of_pair, refined
+from fenicsx_obstacle.discrete.levels import Level, halves_at_once, of_pair, refined
 from fenicsx_obstacle.discrete.memory import check_memory
-from fenicsx_obstacle.discrete.meshing import moved
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.scenes.definitions import Definitions
@@ -73,13 +69,8 @@ def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int]:
     if scene.own_mesh is not None:
         level = scene.own_mesh.level(scene.source, curved=curved)
     elif table.file is not None:
-        path = scene.folder / table.file
-        found = files.read(path, comm)
-        scene.use_cells(releases.cell_name(found.mesh))
-        level = of_mesh(found.mesh, str(path), found.facets, found.groups, curved=curved)
-        level = replace(level, straight=found.straight, remarks=(*found.remarks, *level.remarks))
-        if found.bent:
-            level = replace(level, bent=found.bent, to_cad=partial(moved, path))
+        level = files.read(scene.folder / table.file, comm, curved=curved)
+        scene.use_cells(releases.cell_name(level.mesh))
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
