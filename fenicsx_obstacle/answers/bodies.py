@@ -12,7 +12,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame, TimeHistory, at_time
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.levels import Level, with_parts
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.fields.vector import VectorFields
 from fenicsx_obstacle.io.folder import frame_of
@@ -106,7 +106,7 @@ class BodyContext:
         # clocks differ between ranks: rank 0 speaks for all
         fields = solution.fields
         assert isinstance(fields, VectorFields)
-        fields = replace(fields, level=fields.level.with_parts(body.level))
+        fields = replace(fields, level=with_parts(fields.level, body.level))
         return Answer(fields, solution.history, body.level.comm.bcast(record), scene=scene.with_options(options),
                       time_history=history)  # fmt: skip
 

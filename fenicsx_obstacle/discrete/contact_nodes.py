@@ -8,7 +8,7 @@ bounds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
@@ -28,14 +28,11 @@ from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled
 from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import check_real, foreign
-from fenicsx_obstacle.discrete.levels import Level, of_mesh
+from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.reference import lagrange_degree
-from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair, pairs
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.text import shown
@@ -45,112 +42,6 @@ HELD = 1e-6  # least length of a unit normal's part in free directions; below it
 ROUND_OFF = 1e-14  # of a unit normal
 BEYOND = 1e-10  # relative to displacements and the obstacle there: what a held node may be beyond it
 PLACE = 1e-14  # of the size of the body: round-off of a gap
-
-
-class VectorLevel(Level):
-    """A mesh with a vector-valued nodal space V; dofs are counted component by component."""
-
-    @property
-    def components(self) -> int:
-        """Number of components of u."""
-        return self.V.dofmap.index_map_bs
-
-    @property
-    def owned(self) -> int:
-        return self.V.dofmap.index_map.size_local * self.components
-
-    @property
-    def dofs(self) -> int:
-        return self.V.dofmap.index_map.size_global * self.components
-
-    @cached_property
-    def nodes(self) -> np.ndarray:
-        """Coordinates of the local nodes, shape (3, nodes) (first use is collective)."""
-        return np.ascontiguousarray(points_of_nodes(self.V).T)
-
-    @cached_property
-    def points(self) -> np.ndarray:
-        return np.repeat(self.nodes, self.components, axis=1)
-
-    def with_parts(self, level: Level) -> VectorLevel:
-        """The same spaces, with the named parts and the size of the cells of a level on the same mesh."""
-        found = VectorLevel(
-            self.mesh, level.h, level.facets, level.groups, level.shape, self.pair, remarks=level.remarks
-        )
-        found.__dict__.update(V=self.V, Q=self.Q)
-        return found
-
-    @cached_property
-    def Q(self) -> fem.FunctionSpace:
-        """Gaps and pressures: the scalar space of the same degree (first use is collective)."""
-        return releases.functionspace(self.mesh, "Lagrange", self.pair.degree)
-
-    @cached_property
-    def node_of(self) -> np.ndarray:
-        """The node of V of each local dof of Q."""
-        found = np.arange(self.Q.dofmap.index_map.size_local + self.Q.dofmap.index_map.num_ghosts)
-        found[releases.cell_dofs(self.Q)] = releases.cell_dofs(self.V)
-        return found
-
-    @cached_property
-    def _on_scalars(self) -> Level:
-        level = Level(self.mesh, self.h, self.facets, self.groups, pair=self.pair)
-        level.__dict__["V"] = self.Q
-        return level
-
-    @property
-    def scalar(self) -> Level:
-        """The same mesh with Q for the space V_h (first use is collective)."""
-        return self._on_scalars
-
-    def vector(self, components: Sequence[fem.Function]) -> fem.Function:
-        """The Function of V with these components, of Q (local)."""
-        found = fem.Function(self.V, name="u")
-        table = found.x.array.reshape(-1, self.components)
-        for k, component in enumerate(components):
-            table[self.node_of, k] = component.x.array
-        return found
-
-    def component(self, u: fem.Function, k: int) -> fem.Function:
-        """A component of a Function of V, in Q (local)."""
-        found = fem.Function(self.Q)
-        found.x.array[:] = u.x.array[self.components * self.node_of + k]
-        return found
-
-
-def of_vector_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray]) -> VectorLevel:
-    """The level of a vector-valued space of the caller's own (collective).
-
-    Args:
-        V: Continuous Lagrange elements of degree 1 or 2, as many components as points have coordinates.
-        source: The caller's name in messages.
-        facets: Local facets of each named part.
-
-    Raises:
-        InputError: If it is another space, or the mesh is no domain.
-    """
-    cell, degree, gdim = releases.cell_name(V.mesh), lagrange_degree(V), V.mesh.geometry.dim
-    if degree is None or V.dofmap.index_map_bs != gdim:
-        raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 with {gdim} components, "
-                         f"not of {V.ufl_element()}")  # fmt: skip
-    pair = vector_pair(pairs()[f"{'P' if cell in SIMPLICES else 'Q'}{degree}"])
-    found = of_mesh(releases.settle(V.mesh), source, facets, curved=True)
-    level = VectorLevel(found.mesh, found.h, facets, None, pair=pair, remarks=found.remarks, connected=found.connected)
-    level.__dict__["V"] = V
-    return level
-
-
-def over(level: Level) -> VectorLevel:
-    """The vector-valued space over a scalar one, whose functions are its components (collective)."""
-    found = VectorLevel(level.mesh, level.h, level.facets, level.groups, pair=level.pair)
-    V = releases.functionspace(level.mesh, "Lagrange", level.pair.degree, level.mesh.geometry.dim)
-    found.__dict__.update(V=V, Q=level.V, _on_scalars=level)
-    return found
-
-
-def vector_pair(pair: Pair) -> Pair:
-    """The same V_h with pressures at all nodes; its cell rules are not used, contact uses rules on facets."""
-    return Pair(pair.name, pair.degree, pair.rules, ("Lagrange", pair.degree))
 
 
 class ContactNodes:
@@ -167,7 +58,7 @@ class ContactNodes:
         turned: Nodes whose normal is along no coordinate axis.
     """
 
-    def __init__(self, level: VectorLevel, of: Any, u: fem.Function, weight: Any, fixed: np.ndarray, name: str):
+    def __init__(self, level: Level, of: Any, u: fem.Function, weight: Any, fixed: np.ndarray, name: str):
         """Integrate over the facets named `contact` (collective).
 
         Args:
@@ -226,9 +117,7 @@ class ContactNodes:
         self.dofs = bs * self.nodes + axis
         self._set_reflections(axis)
 
-    def _check_normals(
-        self, level: VectorLevel, on: np.ndarray, sums: np.ndarray, sizes: np.ndarray, name: str
-    ) -> None:
+    def _check_normals(self, level: Level, on: np.ndarray, sums: np.ndarray, sizes: np.ndarray, name: str) -> None:
         """Reject nodes without a normal (collective)."""
         length = np.linalg.norm(sums, axis=1)
         for bad, what in (
@@ -353,7 +242,7 @@ def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
     return normal, None if isinstance(rest, Zero) else rest
 
 
-def _facet_nodes(level: VectorLevel, own: np.ndarray) -> np.ndarray:
+def _facet_nodes(level: Level, own: np.ndarray) -> np.ndarray:
     """Nodes of owned facets in ascending order, shape (facets, nodes of a facet) (local)."""
     V, dim, table = level.V, level.mesh.topology.dim - 1, cell_facets(level.mesh)
     cells, numbers = np.nonzero(np.isin(table, own))
@@ -362,9 +251,7 @@ def _facet_nodes(level: VectorLevel, own: np.ndarray) -> np.ndarray:
     return releases.cell_dofs(V)[cells[first, None], np.array(closures)[numbers[first]]]
 
 
-def _weightless(
-    level: VectorLevel, rows: np.ndarray, on: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _weightless(level: Level, rows: np.ndarray, on: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Nodes of weight 0 on owned contact facets, once for each facet, and the nodes and factors from which they are
     extrapolated; None if there are none on any rank (collective).
 
@@ -419,7 +306,7 @@ class HeldBeyond(InputError):
 class VectorData(Data):
     """The data of a vector-valued problem: obstacles bound the normal components at contact nodes."""
 
-    def __init__(self, model: Model, level: VectorLevel, bcs: Any, *, of: Any, u: fem.Function, weight: Any = None):
+    def __init__(self, model: Model, level: Level, bcs: Any, *, of: Any, u: fem.Function, weight: Any = None):
         """Store the arguments; data are sampled on first use.
 
         Args:
@@ -431,7 +318,6 @@ class VectorData(Data):
             weight: As for `ContactNodes`.
         """
         super().__init__(model, level, bcs=bcs, live=True)
-        self.level: VectorLevel = level
         self._of, self._u, self._weight = of, u, weight
         self._scalar = self.on(level.scalar)
 

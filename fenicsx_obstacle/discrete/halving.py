@@ -6,23 +6,21 @@ interpolation from them follow from the numbers of vertices, edges and cells alo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
+from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES, RING
-
-Project: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,17 +105,15 @@ class Edges:
         of_cells: Edges of owned cells, in the order of `EDGES`.
         number: Of the edges.
         cells_per_rank: How many cells each rank owns.
-        outer: Whether they are on the boundary of a plane domain; None where that is not needed.
     """
 
     ends: np.ndarray
     of_cells: np.ndarray
     number: Numbers
     cells_per_rank: np.ndarray
-    outer: np.ndarray | None
 
 
-def halvings(V: fem.FunctionSpace, times: int, project: Project | None = None) -> list[Grid]:
+def halvings(V: fem.FunctionSpace, times: int, shape: Shape | None = None) -> list[Grid]:
     """The mesh of V with all edges halved, and halved again (collective).
 
     Triangles are cut into four of their own shape, so that a grid stays a grid; DOLFINx's own refinement bisects
@@ -126,15 +122,15 @@ def halvings(V: fem.FunctionSpace, times: int, project: Project | None = None) -
     Args:
         V: P1 on simplices.
         times: How often; once for tetrahedra.
-        project: Moves new vertices on the boundary of a plane domain onto a curve.
+        shape: Its domain; new vertices on a curved boundary are moved onto that.
 
     Returns:
         The grid after each halving.
     """
-    grid, edges = _of_space(V, outer=project is not None)
+    grid, edges = _of_space(V)
     found = list[Grid]()
     for remaining in reversed(range(times)):
-        finer, places = _halved(grid, edges, project)
+        finer, places = _halved(grid, edges, shape)
         if remaining:
             edges = _halved_edges(grid, edges, places, finer)
         grid = finer
@@ -142,7 +138,7 @@ def halvings(V: fem.FunctionSpace, times: int, project: Project | None = None) -
     return found
 
 
-def _of_space(V: fem.FunctionSpace, *, outer: bool) -> tuple[Grid, Edges]:
+def _of_space(V: fem.FunctionSpace) -> tuple[Grid, Edges]:
     """The mesh of V as arrays; local vertices are the dofs (collective)."""
     mesh, dofs = V.mesh, releases.cell_dofs(V)
     comm, dim = mesh.comm, mesh.topology.dim
@@ -158,9 +154,8 @@ def _of_space(V: fem.FunctionSpace, *, outer: bool) -> tuple[Grid, Edges]:
         ends[of_cells[:, side]] = dofs[:, corners]
     number = Numbers.of(comm, V.dofmap.index_map)
     points = points_of_nodes(V)[:, : mesh.geometry.dim]
-    flags = _outer(mesh, edges) if outer else None
     return Grid(comm, points, dofs[:own], number), Edges(
-        _sorted(ends, number), of_cells[:own], Numbers.of(comm, edges), np.array(comm.allgather(own)), flags
+        _sorted(ends, number), of_cells[:own], Numbers.of(comm, edges), np.array(comm.allgather(own))
     )
 
 
@@ -169,14 +164,6 @@ def _sorted(ends: np.ndarray, number: Numbers) -> np.ndarray:
     turned = number.values[ends[:, 0]] > number.values[ends[:, 1]]
     ends[turned] = ends[turned][:, ::-1]
     return ends
-
-
-def _outer(mesh: dmesh.Mesh, edges: Any) -> np.ndarray:
-    """Whether local edges of a plane mesh are on its boundary (collective)."""
-    flags = la.vector(edges)
-    flags.array[np.asarray(dmesh.exterior_facet_indices(mesh.topology))] = 1.0
-    flags.scatter_forward()
-    return flags.array > 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +179,7 @@ class _Places:
     middle: np.ndarray
 
 
-def _halved(grid: Grid, edges: Edges, project: Project | None) -> tuple[Grid, _Places]:
+def _halved(grid: Grid, edges: Edges, shape: Shape | None) -> tuple[Grid, _Places]:
     """The grid with all edges halved (collective)."""
     dim, own, own_edges = grid.dim, grid.number.owned, edges.number.owned
     # the owned vertices, the middles of the owned edges, and the ghosts of both
@@ -216,8 +203,9 @@ def _halved(grid: Grid, edges: Edges, project: Project | None) -> tuple[Grid, _P
         cells = np.take_along_axis(nodes, chosen.reshape(len(nodes), -1).astype(int), axis=1)
         corners = chosen.reshape(-1, dim + 1)
     middles = (grid.points[edges.ends[:, 0]] + grid.points[edges.ends[:, 1]]) / 2
-    if project is not None:
-        middles[edges.outer] = project(middles[edges.outer])
+    if shape is not None and shape.project is not None:
+        outer = shape.on_curve(grid.points)[edges.ends].all(axis=1)  # of no cell all vertices are on the curve
+        middles[outer] = shape.project(middles[outer])
     points, ends = np.empty((len(place), grid.points.shape[1])), np.empty((len(place), 2), dtype=np.int32)
     points[places.vertex], points[places.middle] = grid.points, middles
     ends[places.vertex], ends[places.middle] = np.arange(len(vertex), dtype=np.int32)[:, None], edges.ends
@@ -278,12 +266,8 @@ def _halved_edges(grid: Grid, edges: Edges, places: _Places, finer: Grid) -> Edg
             else:  # the half of an edge at a vertex
                 edge = of_parents[:, high - dim - 1]
                 of_cells[:, child, side] = half[edge] + (edges.ends[edge, 1] == grid.cells[:, low])
-    outer = None
-    if edges.outer is not None:
-        outer = np.zeros(count, dtype=bool)
-        outer[half] = outer[half + 1] = edges.outer
-    return Edges(_sorted(ends, finer.number), of_cells.reshape(-1, len(EDGES[dim])), numbers,
-                 edges.cells_per_rank * len(CHILDREN[dim][0]), outer)  # fmt: skip
+    cells_per_rank = edges.cells_per_rank * len(CHILDREN[dim][0])
+    return Edges(_sorted(ends, finer.number), of_cells.reshape(-1, len(EDGES[dim])), numbers, cells_per_rank)
 
 
 # edges inside a halved cell, by the edges of the cell whose middles they connect

@@ -70,24 +70,33 @@ def has_levels(problem: Problem, options: SolverOptions) -> bool:
 
 
 def levels_of(problem: Problem, options: SolverOptions, *, on_meshes: bool = False) -> Levels:
-    """The levels on which a problem is solved; the problem alone if there are no others (collective).
+    """The levels on which a problem is solved, with algebraic ones below the coarsest mesh; the problem alone if there
+    are no others (collective).
+
+    Without obstacles BoomerAMG is as good as algebraic levels, where there is hypre.
 
     Args:
         problem: The problem.
         options: Of its solves.
-        on_meshes: As for `hierarchy`.
+        on_meshes: Whether the coarse problems are to have meshes and data of their own, to be looked at, instead of
+            Galerkin products.
     """
+    level, own = problem.level, problem.data.live  # on the caller's mesh and in the caller's space alone
     if not has_levels(problem, options):
         return Levels.of([problem], multigrid=False)
     if problem.vector_valued:
         from fenicsx_obstacle.discrete.vector_levels import coarse_vector_problems  # only where there is a body
 
         return Levels.of([*coarse_vector_problems(problem), problem], multigrid=False)
-    if not nested(problem.model.effects, problem.level.pair, options):
+    if not nested(problem.model.effects, level.pair, options):
         return Levels.of(mesh_problems(problem), multigrid=False)
-    own = problem.data.live  # on the caller's mesh and in the caller's space alone
-    found = [*galerkin_systems(problem), problem] if own else hierarchy(problem, on_meshes=on_meshes)
-    return Levels.of(found, multigrid=True)
+    problems = mesh_problems(problem) if on_meshes and not own else [problem]
+    if level.pair.has_p1_coarse_space and not on_meshes and not own:
+        assert level.coarse is not None
+        with suppress(InputError):  # data that only P2 resolves
+            problems.insert(0, Problem(Data(problem.model, level.coarse, problem.data.moment)))
+    algebraic = own or problem.constrained or PRECONDITIONER != "hypre"
+    return Levels.of([*galerkin_systems(problems[0], algebraic=algebraic), *problems], multigrid=True)
 
 
 def mesh_problems(problem: Problem) -> list[Problem]:
@@ -101,28 +110,6 @@ def mesh_problems(problem: Problem) -> list[Problem]:
         except InputError:  # data that only the fine levels resolve
             break
     return problems
-
-
-def hierarchy(problem: Problem, *, on_meshes: bool = False) -> list[System]:
-    """The problems of all levels, the coarsest first, with algebraic ones below the coarsest mesh (collective).
-
-    Without obstacles BoomerAMG is as good as algebraic levels, where there is hypre.
-
-    Args:
-        problem: That truncated multigrid serves.
-        on_meshes: Whether the coarse problems are to have meshes and data of their own, to be looked at, instead of
-            Galerkin products.
-    """
-    algebraic = problem.constrained or PRECONDITIONER != "hypre"
-    if on_meshes:
-        problems = mesh_problems(problem)
-        return [*(galerkin_systems(problems[0]) if algebraic else []), *problems]
-    problems, level = [problem], problem.level
-    if level.pair.has_p1_coarse_space:
-        assert level.coarse is not None
-        with suppress(InputError):  # data that only P2 resolves
-            problems.insert(0, Problem(Data(problem.model, level.coarse, problem.data.moment)))
-    return [*galerkin_systems(problems[0], algebraic=algebraic), *problems]
 
 
 def galerkin_systems(problem: Problem, *, algebraic: bool = True) -> list[System]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -54,6 +54,8 @@ class Level:
         bent: Local facets on each curve (in solids, surface) of a .geo or .step that is not straight, and on surfaces
             in space owned cells, by dimension and number in Gmsh; None where they are those of `coarse`.
         to_cad: Moves points to these, on one rank; None without them.
+        vector: Whether functions of V have as many components as points have coordinates. Dofs are counted component by
+            component; Q is scalar, of the same degree.
     """
 
     mesh: dmesh.Mesh
@@ -71,22 +73,30 @@ class Level:
     connected: Components | None = None
     bent: dict[tuple[int, int], np.ndarray] | None = None
     to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
+    vector: bool = False
 
     @cached_property
     def V(self) -> fem.FunctionSpace:
         """Continuous functions, the paper's V_h without boundary values (first use is collective)."""
-        return releases.functionspace(self.mesh, "Lagrange", self.pair.degree)
+        components = self.mesh.geometry.dim if self.vector else None
+        return releases.functionspace(self.mesh, "Lagrange", self.pair.degree, components)
 
     @cached_property
     def Q(self) -> fem.FunctionSpace:
         """Pressures, the paper's Q_h, whose nodes are the points of I (first use is collective)."""
         same = self.pair.pressure == ("Lagrange", self.pair.degree)
-        return self.V if same else releases.functionspace(self.mesh, *self.pair.pressure)
+        return self.V if same and not self.vector else releases.functionspace(self.mesh, *self.pair.pressure)
 
     @cached_property
     def points(self) -> np.ndarray:
         """Coordinates of the local dofs, shape (3, dofs) (first use is collective)."""
-        return np.ascontiguousarray(points_of_nodes(self.V).T)
+        nodes = points_of_nodes(self.V).T
+        return np.repeat(nodes, self.components, axis=1) if self.vector else np.ascontiguousarray(nodes)
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Coordinates of the local nodes, shape (3, nodes) (first use is collective)."""
+        return self.points[:, :: self.components]
 
     def forget_points(self) -> None:
         """Free the coordinates, once data have been sampled; the next use, which is collective, makes them anew."""
@@ -177,9 +187,12 @@ class Level:
     @property
     def polygonal(self) -> bool | None:
         """Whether the domain is exactly the polygon (polyhedron) of the mesh; None where that is unknown."""
-        if self.shape is not None:
-            return self.shape.project is None
-        return self.straight
+        return self.straight if self.shape is None else self.project is None
+
+    @property
+    def project(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Moves boundary points, shape (n, gdim), onto the true boundary of a shape, where that is curved."""
+        return None if self.shape is None else self.shape.project
 
     @cached_property
     def parts(self) -> tuple[int, np.ndarray]:
@@ -197,19 +210,51 @@ class Level:
         return self.mesh.comm
 
     @property
+    def components(self) -> int:
+        """Number of components of functions of V."""
+        return self.V.dofmap.index_map_bs
+
+    @property
     def scalar(self) -> Level:
-        """The same mesh with scalar functions for V_h."""
-        return self
+        """The same mesh with scalar functions for V_h, those of Q (first use is collective)."""
+        return self._of_q if self.vector else self
+
+    @cached_property
+    def _of_q(self) -> Level:
+        level = Level(self.mesh, self.h, self.facets, self.groups, pair=self.pair)
+        level.__dict__["V"] = self.Q
+        return level
+
+    @cached_property
+    def node_of(self) -> np.ndarray:
+        """The node of V of each local dof of Q, where functions are vector-valued."""
+        found = np.arange(self.Q.dofmap.index_map.size_local + self.Q.dofmap.index_map.num_ghosts)
+        found[releases.cell_dofs(self.Q)] = releases.cell_dofs(self.V)
+        return found
+
+    def of_components(self, components: Sequence[fem.Function]) -> fem.Function:
+        """The Function of V with these components, of Q (local)."""
+        found = fem.Function(self.V, name="u")
+        table = found.x.array.reshape(-1, self.components)
+        for k, component in enumerate(components):
+            table[self.node_of, k] = component.x.array
+        return found
+
+    def component(self, u: fem.Function, k: int) -> fem.Function:
+        """A component of a Function of V, in Q (local)."""
+        found = fem.Function(self.Q)
+        found.x.array[:] = u.x.array[self.components * self.node_of + k]
+        return found
 
     @property
     def owned(self) -> int:
         """Number of owned dofs."""
-        return self.V.dofmap.index_map.size_local
+        return self.V.dofmap.index_map.size_local * self.components
 
     @property
     def dofs(self) -> int:
         """Number of dofs on all ranks."""
-        return self.V.dofmap.index_map.size_global
+        return self.V.dofmap.index_map.size_global * self.components
 
     @property
     def cells(self) -> int:
@@ -275,29 +320,53 @@ def of_pair(level: Level, pair: Pair) -> Level:
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
 
-def of_space(V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray] | None = None) -> Level:
+def of_space(
+    V: fem.FunctionSpace, source: str, facets: dict[str, np.ndarray] | None = None, *, vector: bool = False
+) -> Level:
     """The level of a space of the caller's own (collective).
 
     Args:
         V: Continuous Lagrange elements of degree 1 or 2.
         source: What messages call its user.
         facets: Local facets of each named part.
+        vector: Whether V is to have as many components as points have coordinates, instead of one.
 
     Raises:
         InputError: If it is another space, or the mesh is no domain.
     """
-    cell = releases.cell_name(V.mesh)
-    degree = lagrange_degree(V)
-    if degree is None or V.dofmap.index_map_bs != 1:
-        raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 and one component, not "
-                         f"of {V.ufl_element()}")  # fmt: skip
-    pair = _nodal_pair(cell, degree)
+    cell, gdim, degree = releases.cell_name(V.mesh), V.mesh.geometry.dim, lagrange_degree(V)
+    if degree is None or V.dofmap.index_map_bs != (gdim if vector else 1):
+        wanted = f"with {gdim} components" if vector else "and one component"
+        raise InputError(f"{source}: u must be a continuous Lagrange Function of degree 1 or 2 {wanted}, not of "
+                         f"{V.ufl_element()}")  # fmt: skip
+    pair = vector_pair(pairs()[f"{'P' if cell in SIMPLICES else 'Q'}{degree}"]) if vector else _nodal_pair(cell, degree)
     if pair is None:
         raise InputError(f"{source}: no rule at the nodes of degree {degree} on a {cell} has positive weights (3.6): "
                          "take degree 1, or cells with another shape")  # fmt: skip
-    level = of_pair(of_mesh(releases.settle(V.mesh), source, facets), pair)
+    level = of_mesh(releases.settle(V.mesh), source, facets, curved=vector)
+    level = replace(level, pair=pair, vector=True) if vector else of_pair(level, pair)
     level.__dict__["V"] = V  # in place of one made on first use
     return level
+
+
+def over(level: Level) -> Level:
+    """The vector-valued space over a scalar one, whose functions are its components (collective)."""
+    found = Level(level.mesh, level.h, level.facets, level.groups, pair=level.pair, vector=True)
+    found.__dict__.update(Q=level.V, _of_q=level)
+    return found
+
+
+def with_parts(level: Level, other: Level) -> Level:
+    """The spaces of a level with the named parts and the size of the cells of another one on the same mesh."""
+    found = replace(level, h=other.h, named=other.facets, materials=other.groups, shape=other.shape,
+                    remarks=other.remarks)  # fmt: skip
+    found.__dict__.update(V=level.V, Q=level.Q)
+    return found
+
+
+def vector_pair(pair: Pair) -> Pair:
+    """The same V_h with pressures at all nodes; its cell rules are not used, contact uses rules on facets."""
+    return Pair(pair.name, pair.degree, pair.rules, ("Lagrange", pair.degree))
 
 
 def _nodal_pair(cell: str, degree: int) -> Pair | None:
@@ -313,13 +382,12 @@ def refined(level: Level, times: int = 1) -> Level:
         level: P1 on simplices.
         times: How often; more than once if `halves_at_once`.
     """
-    project = None if level.shape is None else level.shape.project
-    *between, last = halvings(level.V, times, project)
+    *between, last = halvings(level.V, times, level.shape)
     mesh, kept = last.mesh()
     assert last.places is not None
     cells, places = kept // 2**last.dim, last.places[kept]
     fine = _above(level, mesh, level.h / 2**times, cells, places, P1, tuple(between))
-    if halves_at_once(level) and project is None:  # cells are similar to their ancestors
+    if halves_at_once(level) and level.project is None:  # cells are similar to their ancestors
         fine.__dict__["h_max"] = level.h_max / 2**times  # in place of that found on first use
     return fine
 
@@ -351,10 +419,9 @@ def _above(
         level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, grids=grids,
         parents=cells, places=places, connected=None,
     )  # fmt: skip
-    if level.shape is not None and level.shape.project is not None:
-        parents.snap(fine.V, fine.boundary_facets, level.shape.project)
-    if level.to_cad is not None:
-        parents.snap_to_cad(fine.V, fine.bent_parts, level.to_cad)
+    if level.project is not None or level.to_cad is not None:
+        x, nodes = new.geometry.x, releases.dof_nodes(fine.V)
+        x[nodes, : new.geometry.dim] = _on_surface(fine, x[nodes])[:, : new.geometry.dim]
     return fine
 
 
@@ -367,14 +434,19 @@ def at_surface(level: Level) -> Level:
     if level.pair.degree == 1:
         return level
     found = replace(level)
-    points = found.points.T.copy()
-    if level.shape is not None and level.shape.project is not None:
-        dofs = fem.locate_dofs_topological(found.V, level.mesh.topology.dim - 1, level.boundary_facets)
-        points[dofs, : level.mesh.geometry.dim] = level.shape.project(points[dofs, : level.mesh.geometry.dim])
-    if level.to_cad is not None:
-        points = parents.on_cad(found.V, points, level.bent_parts, level.to_cad)
-    found.__dict__["points"] = np.ascontiguousarray(points.T)  # in place of those made on first use
+    found.__dict__["points"] = np.ascontiguousarray(_on_surface(found, found.points.T).T)  # in place of the usual ones
     return found
+
+
+def _on_surface(level: Level, points: np.ndarray) -> np.ndarray:
+    """Points of local dofs, shape (dofs, 3), those on curved parts of the boundary moved there (collective)."""
+    if level.project is not None:
+        points, gdim = points.copy(), level.mesh.geometry.dim
+        dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, level.boundary_facets)
+        points[dofs, :gdim] = level.project(points[dofs, :gdim])
+    if level.to_cad is not None:
+        points = parents.on_cad(level.V, points, level.bent_parts, level.to_cad)
+    return points
 
 
 def of_mesh(

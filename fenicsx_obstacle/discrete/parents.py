@@ -1,4 +1,4 @@
-"""Refinement: parent cells of a refined mesh, and the interpolation that follows from them."""
+"""Refinement: parent cells of a refined mesh, and what it inherits from them; points on CAD geometry."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from dolfinx import fem
 from dolfinx import mesh as dmesh
-from mpi4py import MPI
-from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, edge_lengths, facet_vertices, own_cells
-from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.shared_dofs import without_cell
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import before, on_root, total
@@ -50,26 +47,6 @@ def ends_of(V: fem.FunctionSpace, coarse: np.ndarray, parents: np.ndarray, place
     dim = V.mesh.topology.dim
     of = np.array([(i, i) for i in range(dim + 1)] + EDGES[dim])[places.ravel()[one]]
     return np.take_along_axis(rows, of, axis=1)
-
-
-def prolongation(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> PETSc.Mat:
-    """P1 interpolation from a level to its refinement as a matrix (collective).
-
-    Args:
-        ends: Of owned dofs of the refinement the two local dofs of the level.
-        number: Of these.
-        comm: Communicator.
-    """
-    same = ends[:, 0] == ends[:, 1]
-    starts = np.zeros(len(ends) + 1, dtype=PETSc.IntType)
-    np.cumsum(2 - same, out=starts[1:])
-    columns, values = np.empty(starts[-1], dtype=np.int32), np.full(starts[-1], 0.5)
-    columns[starts[:-1]] = ends.min(axis=1)
-    columns[starts[1:] - 1] = ends.max(axis=1)
-    values[starts[:-1][same]] = 1.0
-    size = (len(ends), None), (number.owned, None)
-    columns = number.values[columns].astype(PETSc.IntType)
-    return PETSc.Mat().createAIJ(size, csr=(starts, columns, values), comm=comm)
 
 
 def inherited(
@@ -123,27 +100,6 @@ def facets_within(places: np.ndarray) -> np.ndarray:
     number = np.full(2 ** (dim + 1), -1)
     number[1 << np.arange(dim + 1)] = np.arange(dim + 1)
     return number[common]
-
-
-def snap(V: fem.FunctionSpace, facets: np.ndarray, project: Callable[[np.ndarray], np.ndarray]) -> None:
-    """Move new boundary vertices onto the curved boundary: a refined polygon never becomes a circle."""
-    mesh = V.mesh
-    dofs = fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)
-    nodes, gdim = releases.dof_nodes(V)[dofs], mesh.geometry.dim
-    mesh.geometry.x[nodes, :gdim] = project(mesh.geometry.x[nodes, :gdim])
-
-
-def snap_to_cad(V: fem.FunctionSpace, parts: dict[tuple[int, int], np.ndarray], to_cad: ToCad) -> None:
-    """Move vertices onto the curves or surfaces that their facets or cells come from (collective).
-
-    Args:
-        V: P1 on a new mesh.
-        parts: As for `on_cad`.
-        to_cad: As `Level.to_cad`.
-    """
-    x, nodes, gdim = V.mesh.geometry.x, releases.dof_nodes(V), V.mesh.geometry.dim
-    moved = on_cad(V, x[nodes], parts, to_cad)
-    x[nodes, :gdim] = moved[:, :gdim]
 
 
 def on_cad(

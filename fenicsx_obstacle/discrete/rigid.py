@@ -11,7 +11,8 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN, stiffness_of
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete.contact_nodes import VectorData, VectorLevel
+from fenicsx_obstacle.discrete.contact_nodes import VectorData
+from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.errors import InputError
@@ -59,7 +60,7 @@ def motions_of(problem: BodySystem) -> np.ndarray:
     )
 
 
-def _box(level: VectorLevel) -> tuple[np.ndarray, float]:
+def _box(level: Level) -> tuple[np.ndarray, float]:
     """Centre of the box around all nodes, shape (3,), and its longest side (collective)."""
     low, high = level.box
     return (low + high) / 2, max(np.max(high - low), 1e-300)
@@ -134,7 +135,6 @@ class BodySystem(RigidMotions, MeshSystem):
     """The system of an elastic body on a mesh."""
 
     data: VectorData
-    level: VectorLevel
     vector_valued = True
     loose: np.ndarray | None  # motions that only contact resists
 

@@ -60,6 +60,10 @@ class Shape:
         """About how many cells the mesh will have, if they are simplices."""
         return factorial(len(self.cells)) * float(np.prod(self.cells))
 
+    def on_curve(self, x: np.ndarray) -> np.ndarray:
+        """Whether points, shape (n, gdim), are on the boundary, which `project` says to be curved."""
+        return np.any([side(x.T) for side in self.sides.values()], axis=0)
+
     def moved(self, x: np.ndarray) -> np.ndarray:
         """Inner vertices, shape (n, 3), moved at random: the same for a place whatever the order or the rank."""
         moved, dim = x.copy(), len(self.cells)

@@ -9,7 +9,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.transfer import Transfer
-from fenicsx_obstacle.discrete import parents
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
 
@@ -37,7 +36,7 @@ def downward(level: Level) -> Iterator[Transfer]:
 
 def _transfer(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> Transfer:
     """Interpolation at owned dofs from the two local dofs of the coarser level of which they are the mean."""
-    same = np.flatnonzero(ends[:, 0] == ends[:, 1])
+    same = ends[:, 0] == ends[:, 1]
     coincident, ghosts = ends[same, 0], number.values[number.owned :].astype(PETSc.IntType)
 
     def inject(fine: np.ndarray) -> np.ndarray:
@@ -50,4 +49,12 @@ def _transfer(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> Transfer:
         found.destroy()
         return values
 
-    return Transfer(parents.prolongation(ends, number, comm), inject, of_means=True)
+    starts = np.zeros(len(ends) + 1, dtype=PETSc.IntType)
+    np.cumsum(2 - same, out=starts[1:])
+    columns, values = np.empty(starts[-1], dtype=np.int32), np.full(starts[-1], 0.5)
+    columns[starts[:-1]] = ends.min(axis=1)
+    columns[starts[1:] - 1] = ends.max(axis=1)
+    values[starts[:-1][same]] = 1.0
+    csr = starts, number.values[columns].astype(PETSc.IntType), values
+    P = PETSc.Mat().createAIJ(((len(ends), None), (number.owned, None)), csr=csr, comm=comm)
+    return Transfer(P, inject, of_means=True)

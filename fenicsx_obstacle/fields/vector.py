@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.contact_nodes import VectorLevel, over
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.levels import Level, over
 from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.contact_table import ContactTable
@@ -53,7 +52,6 @@ class VectorFields(Fields):
     nodes: ContactTable = field(kw_only=True)
     gap: fem.Function = field(kw_only=True)
     von_mises: fem.Function | None = field(kw_only=True)
-    level: VectorLevel
 
     @classmethod
     def restored(cls, level: Level, found: Mapping[str, fem.Function], nodes: Mapping[str, np.ndarray]) -> VectorFields:
@@ -65,7 +63,7 @@ class VectorFields(Fields):
             nodes: Columns of the contact nodes.
         """
         over_mesh = over(level)
-        u = over_mesh.vector([found[f"u{k}"] for k in range(over_mesh.components)])
+        u = over_mesh.of_components([found[f"u{k}"] for k in range(over_mesh.components)])
         kept = {name: found.get(name) for name in ("lower", "upper", "von_mises")}
         table = ContactTable(**{name: np.array(values) for name, values in nodes.items()})
         return cls(over_mesh, u, found["pressure"], found["contact"], gap=found["gap"], nodes=table, **kept)
@@ -101,7 +99,7 @@ class VectorFields(Fields):
         """The same with other functions, on another mesh (collective)."""
         new, components = over(level), [fields[f"u{k}"] for k in range(level.mesh.geometry.dim)]
         rest = {name: fields[name] for name in ("pressure", "contact", "gap")}
-        return replace(self, level=new, u=new.vector(components), von_mises=von_mises, **rest)
+        return replace(self, level=new, u=new.of_components(components), von_mises=von_mises, **rest)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The fields on P1 simplices, as files and pictures have them: u with three components, von_mises by cells

@@ -18,6 +18,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.discrete.cells import own_cells
+from fenicsx_obstacle.discrete.levels import vector_pair
 from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
@@ -213,8 +214,6 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         raise InputError(f"{folder}: saved by version 0.1, without its element; version 0.2 reads it")
     vector_valued = arrays["u"].ndim == 2
     if vector_valued:
-        from fenicsx_obstacle.discrete.contact_nodes import vector_pair  # no scalar problem needs it
-
         pair = vector_pair(pair)
         gdim = min(int(arrays["gdim"]), arrays["u"].shape[1])
         arrays = arrays | {f"u{k}": arrays["u"][:, k] for k in range(gdim)}

@@ -190,13 +190,13 @@ class ObstacleProblem:
             check_integrals(residual, held, name)
         on_facets = Model((residual,), boundary=(Part("measure", ("contact",), **sides),), source=name)
         if self._vector_valued:  # a scalar problem does not load this
-            from fenicsx_obstacle.discrete.contact_nodes import VectorData, of_vector_space
+            from fenicsx_obstacle.discrete.contact_nodes import VectorData
             from fenicsx_obstacle.problems.vector_valued import VonMises, facets_and_weight
 
             facets, weight = facets_and_weight(measure, mesh, name)
             if of is None:
                 raise InputError(f"{name}: u is vector-valued: say what the obstacles bound, of=ufl.dot(u, n)")
-            nodes = of_vector_space(V, name, {"contact": facets})
+            nodes = of_space(V, name, {"contact": facets}, vector=True)
             data: Data = VectorData(on_facets, nodes, held, of=of, u=u, weight=weight)
             with releases.compiled_with(*compiled):
                 self._von_mises = None if stress is None else VonMises(stress, mesh, name)

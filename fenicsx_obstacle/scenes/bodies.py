@@ -20,9 +20,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.discrete.assembly import assembled
 from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond, over, vector_pair
+from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level, at_surface
+from fenicsx_obstacle.discrete.levels import Level, at_surface, over, vector_pair
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
