@@ -15,12 +15,15 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import NO_BOUND, with_infinities
+from fenicsx_obstacle.discrete.cell_means import average
 from fenicsx_obstacle.discrete.cells import cell_volumes
 from fenicsx_obstacle.discrete.fields import Cellwise, array_of
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_tags import check_both_sides
 from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.discrete.points import spread
 from fenicsx_obstacle.discrete.samples import Samples
+from fenicsx_obstacle.discrete.sampling_check import check_between, check_definite, inadmissible
 from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.time_discretization import Moment, Motion
 from fenicsx_obstacle.effects.field import Field, Names, Rows
@@ -88,7 +91,7 @@ class Data(Samples):
         self._sample_again()
         for rows in self._definite:
             if any(entry.moves for row in rows for entry in row):
-                self._check_definite(rows)
+                check_definite(self.level, rows, self.matrices(rows))
         assert self.model.time is not None
         return self.model.time.order > 0 and self.motion.follow()
 
@@ -156,9 +159,7 @@ class Data(Samples):
         """
         entries = [[self.cellwise(entry) for entry in row] for row in rows]
         if rows not in self._definite:
-            from fenicsx_obstacle.discrete.sampling_check import check_between  # only where a model has a matrix
-
-            self._check_definite(rows)
+            check_definite(self.level, rows, self.matrices(rows))
             check_between(self, rows)
             self._definite.add(rows)
         return ufl.as_matrix(entries)
@@ -172,11 +173,6 @@ class Data(Samples):
         """Eigenvalues of its symmetric part, ascending, shape (dofs or 1, rows) (collective on first use)."""
         matrices = self.matrices(rows)
         return np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
-
-    def _check_definite(self, rows: Rows) -> None:
-        from fenicsx_obstacle.discrete.sampling_check import check_definite  # only where a model has a matrix
-
-        check_definite(self.level, rows, self.matrices(rows))
 
     # the domain
 
@@ -246,8 +242,6 @@ class Data(Samples):
         Raises:
             InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
         """
-        from fenicsx_obstacle.discrete.points import spread  # only where a model names points
-
         return spread(self.level, forces, f"{self.model.source}: {place}")
 
     # obstacles
@@ -424,8 +418,6 @@ class Data(Samples):
         if positive:
             self._refuse(field, made, array_of(made) <= 0, "must be positive; it is")
             if isinstance(made, fem.Function):
-                from fenicsx_obstacle.discrete.cell_means import average  # only where data are not numbers
-
                 average(self, field, made)
         if least is not None:
             self._refuse(field, made, array_of(made) < least, f"must be at least {least:g}; it is")
@@ -438,11 +430,7 @@ class Data(Samples):
         """Reject values below a bound at points that are no midpoints of cells (collective)."""
         parts: Mapping[str | None, Field] = field.parts or {None: field}  # type: ignore[assignment]
         for material, part in parts.items():
-            if part.uniform:
-                continue
-            from fenicsx_obstacle.discrete.sampling_check import inadmissible  # only where data are not numbers
-
-            found = inadmissible(self, [part], partial(self.at, part), bound, material)
+            found = None if part.uniform else inadmissible(self, [part], partial(self.at, part), bound, material)
             if found is not None:
                 number, point = found
                 raise InputError(f"{field}: must {what}; it is {number:g} at {self.place(point)}")

@@ -14,9 +14,7 @@ is known up to a factor of order 1, which is enough to see exponentials.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from typing import TypeAlias, cast
 
@@ -38,7 +36,6 @@ from fenicsx_obstacle.parallel import largest, total
 TRAPPED = 50.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe
 NO_WAY_OUT = 1e4  # times the same: without one it is an exponential of Pe; in circles a multiple of Pe
 
-Solve: TypeAlias = Callable[[PETSc.Mat, PETSc.Vec, PETSc.Vec], bool]
 Velocity: TypeAlias = tuple[Field, ...]
 
 
@@ -84,28 +81,17 @@ def peclet(data: Data, velocity: Velocity) -> float:
     return largest(data.level.comm, (ratio * size[:, None]).ravel())
 
 
-def speed(data: Data, velocity: Velocity) -> float:
-    """The largest |drift| (collective)."""
-    return largest(data.level.comm, _speeds(data, velocity).ravel())
-
-
-def residence_time(
-    data: Data, velocity: Velocity, held: np.ndarray, reaction: np.ndarray, pattern: PETSc.Mat, solve: Solve
-) -> float | None:
-    """The longest time; infinite if there is no way out (collective).
+def residence_time(problem: MeshSystem, drift: Drift, held: np.ndarray) -> float | None:
+    """The longest time; infinite if there is no way out, None if the system could not be solved (collective).
 
     Args:
-        data: Of the problem.
-        velocity: Components of the drift b.
+        problem: With the drift.
+        drift: It.
         held: Whether u is held at an owned dof.
-        reaction: Row sums of the stiffness at owned dofs: int k phi_i.
-        pattern: A matrix of V.
-        solve: Solves A x = b; whether that was possible.
-
-    Returns:
-        The time; None if the system could not be solved.
     """
-    level, V = data.level, data.level.V
+    if drift.reaction is None or not problem.affine:
+        drift.reaction = problem.law.row_sums()
+    data, level, V = problem.data, problem.level, problem.level.V
     at = corners(level.mesh)[: own_cells(level.mesh)]
     dim = level.mesh.topology.dim
     dofs = np.asarray(V.dofmap.index_map.local_to_global(releases.cell_dofs(V)[: len(at), : at.shape[1]].ravel()))
@@ -113,7 +99,7 @@ def residence_time(
     size = cell_volumes(level.mesh, slice(len(at)))
     # means of the data in the cells
     mu = _of_cells(data, data.model.elastic.stiffness(data)).mean(axis=1)  # type: ignore[arg-type]
-    flow = [_of_cells(data, data.values(part)).mean(axis=1) for part in velocity]
+    flow = [_of_cells(data, data.values(part)).mean(axis=1) for part in drift.velocity]
     pairs = list(combinations(range(at.shape[1]), 2))
     parts = np.zeros((*at.shape[:2], at.shape[1]))  # the matrix of each cell
     for i, j in pairs:
@@ -124,13 +110,13 @@ def residence_time(
             entry = weight * _bernoulli(way)
             parts[:, one, one] += entry
             parts[:, one, other] -= entry
-    A = pattern.duplicate()
+    A = problem.A.duplicate()
     A.setValuesRCV(dofs, dofs, parts, addv=PETSc.InsertMode.ADD)
     A.assemble()
     first, own = V.dofmap.index_map.local_range[0], level.owned
     numbers = np.arange(first, first + own, dtype=PETSc.IntType)
     x, b = A.createVecs()
-    x.array[:] = np.maximum(reaction, 0.0)
+    x.array[:] = np.maximum(drift.reaction, 0.0)
     A.setDiagonal(x, addv=PETSc.InsertMode.ADD)
     x.set(0.0)
     b.setValues(dofs.ravel(), np.repeat(size / at.shape[1], at.shape[1]), addv=PETSc.InsertMode.ADD)
@@ -139,7 +125,7 @@ def residence_time(
     A.zeroRowsColumns(numbers[held | empty], 1.0)
     b.array[held | empty] = 0.0
     found = None
-    if solve(A, b, x):
+    if solved(level.dofs, A, b, x):
         # with exponentials beyond the range of numbers x is not positive, as the solution is
         lost = total(level.comm, np.count_nonzero(~(x.array_r[~(held | empty)] > 0)))
         found = np.inf if lost > 0 else largest(level.comm, x.array_r)
@@ -177,7 +163,7 @@ def check_drift_in_time(problem: MeshSystem) -> None:
     if drift is None or drift.number <= 1:
         return
     assert problem.model.time is not None
-    longest = _longest_stay(problem, drift, problem.fixed)
+    longest = _crossings(problem, drift, residence_time(problem, drift, problem.fixed))
     if longest > NO_WAY_OUT and _crossings(problem, drift, problem.model.time.end) > TRAPPED:
         raise InputError(f"{problem.model.source}: {_in_words(drift.number)}")
 
@@ -195,7 +181,7 @@ def trapped(problem: System, active: np.ndarray) -> str | None:
     held = problem.fixed | problem.active_dofs(active != 0)
     known = problem.affine and drift.held is not None  # otherwise u is in the stiffness
     if not known or total(problem.level.comm, np.count_nonzero(drift.held != held)) > 0:
-        longest = _longest_stay(problem, drift, held)
+        longest = _crossings(problem, drift, residence_time(problem, drift, held))
         if 0 < longest <= TRAPPED and problem.affine and problem.nodal:
             # in circles the matrix of the problem has less artificial diffusion
             moved = moved_by(problem, active, problem.law.unit_load())
@@ -212,18 +198,10 @@ def _in_words(number: float) -> str:
     )
 
 
-def _longest_stay(problem: MeshSystem, drift: Drift, held: np.ndarray) -> float:
-    """The longest time that the drift stays in the domain, over that in which it crosses it (collective)."""
-    if drift.reaction is None or not problem.affine:
-        drift.reaction = problem.law.row_sums()
-    solve = partial(solved, problem.level.dofs)
-    time = residence_time(problem.data, drift.velocity, held, drift.reaction, problem.A, solve)
-    return _crossings(problem, drift, time)
-
-
 def _crossings(problem: MeshSystem, drift: Drift, time: float | None) -> float:
     """A time over that in which the drift crosses the domain; infinite, or unknown and 0, if its system was not solved
     (collective)."""
     if time is None:
         return np.inf if problem.level.dofs <= LARGEST else 0.0
-    return time * speed(problem.data, drift.velocity) / problem.data.extent
+    speed = largest(problem.comm, _speeds(problem.data, drift.velocity).ravel())
+    return time * speed / problem.data.extent

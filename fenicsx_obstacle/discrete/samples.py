@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from dolfinx import fem
@@ -17,7 +17,7 @@ from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.discrete.time_discretization import Moment
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import agree, first_given
+from fenicsx_obstacle.parallel import first_given
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
 ROUND_OFF = 1e-14  # of the largest coordinate of a point: its others are 0 up to that
@@ -109,22 +109,20 @@ class Samples:
         self.refuse_infinite(function, field)
         return function
 
-    def _at_dofs(self, field: Field, V: fem.FunctionSpace, dofs: np.ndarray) -> np.ndarray:
-        """Values of a datum at some local dofs (collective)."""
-        here, names, points = self.here(field), self.names(field), self.level.points_of(V)
+    def _at_dofs(
+        self, field: Field, V: fem.FunctionSpace, dofs: Any = slice(None), more: Names | None = None
+    ) -> np.ndarray:
+        """Values of a datum at some local dofs, by default at all (collective)."""
+        here, names, points = self.here(field), {**self.names(field), **(more or {})}, self.level.points_of(V)
         if not field.everywhere:
             return here.interpolate(V, points, names)[dofs]
-        with agree(self.level.comm):
-            values = here.at(points[:, dofs], names)
-        return values
+        return here.interpolate(V, points[:, dofs], names)
 
     def _sample(self, function: fem.Function, field: Field, more: Names | None = None) -> None:
-        names = {**self.names(field), **(more or {})}
         if field.uniform:
-            function.x.array[:] = self.here(field).at(np.zeros((3, 1)), names)
+            function.x.array[:] = self.here(field).at(np.zeros((3, 1)), {**self.names(field), **(more or {})})
         else:
-            V = function.function_space
-            function.x.array[:] = self.here(field).interpolate(V, self.level.points_of(V), names)
+            function.x.array[:] = self._at_dofs(field, function.function_space, more=more)
             share(function)  # points of ghosts may differ from their owner's in the last digit
 
     def follow(self, fields: Iterable[Field], sample: Callable[[], Sampled]) -> Sampled:
