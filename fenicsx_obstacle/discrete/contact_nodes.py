@@ -56,6 +56,8 @@ class ContactNodes:
         facet_nodes: Local numbers of the nodes of each owned contact facet, shape (facets, nodes of a facet).
         normals: Unit normals in the directions in which u is free, shape (nodes, components).
         turned: Nodes whose normal is along no coordinate axis.
+        held: Of nodes that are held along the normal: local numbers, and N, factor and offset with of(u) = factor N . u
+            + offset.
     """
 
     def __init__(self, level: Level, of: Any, u: fem.Function, weight: Any, fixed: np.ndarray, name: str):
@@ -110,8 +112,7 @@ class ContactNodes:
         self.weights, self._lengths = D[self.nodes], lengths[touchable]
         self._scale, self._offset = scale[touchable], offset[touchable]
         self._in_held_directions = np.where(held, unit, 0.0)[touchable]
-        # nodes held along the normal: their given values are checked against the obstacle
-        self._held = nodes[~touchable], unit[~touchable], scale[~touchable], offset[~touchable]
+        self.held = nodes[~touchable], unit[~touchable], scale[~touchable], offset[~touchable]
         self.normals = free[touchable] / self._lengths[:, None]
         axis = np.argmax(np.abs(self.normals) > np.abs(self.normals).max(axis=1, initial=0.0)[:, None] - 1e-6, axis=1)
         self.dofs = bs * self.nodes + axis
@@ -202,17 +203,6 @@ class ContactNodes:
         held = given.reshape(len(given) // bs, bs)[self.nodes]
         taken = np.einsum("ij,ij->i", self._in_held_directions, held)
         return ((g[self.nodes] - self._offset) / self._scale - taken) / self._lengths
-
-    @property
-    def held_nodes(self) -> np.ndarray:
-        """The nodes of `excess_where_held`."""
-        return self._held[0]
-
-    def excess_where_held(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
-        """How far N . u is above an obstacle at nodes where u is given."""
-        nodes, unit, scale, offset = self._held
-        u = given.reshape(len(given) // self.components, self.components)[nodes]
-        return np.einsum("ij,ij->i", unit, u) - (g[nodes] - offset) / scale
 
 
 def _parts_of(of: Any, u: fem.Function, place: str) -> tuple[Any, Any]:
@@ -344,13 +334,14 @@ class VectorData(Data):
         Raises:
             HeldBeyond: With the place where they are farthest beyond it; of places alike the first by coordinates.
         """
-        comm, there = self.level.comm, g[self.contact.held_nodes]
-        size = max(largest(comm, np.abs(given)), 0.0) + np.where(np.isfinite(there), np.abs(there), 0.0)
-        beyond = side * self.contact.excess_where_held(g, given)
+        comm, (nodes, normals, factor, offset) = self.level.comm, self.contact.held
+        size = max(largest(comm, np.abs(given)), 0.0) + np.where(np.isfinite(g[nodes]), np.abs(g[nodes]), 0.0)
+        u = given.reshape(len(given) // self.level.components, self.level.components)[nodes]
+        beyond = side * (np.einsum("ij,ij->i", normals, u) - (g[nodes] - offset) / factor)
         beyond[beyond <= BEYOND * size + PLACE * self.extent] = -np.inf
         most = largest(comm, beyond)
         if most > 0:
-            worst = self.contact.held_nodes[beyond >= most * (1 - 1e-9)]
+            worst = nodes[beyond >= most * (1 - 1e-9)]
             points = (min(self.level.nodes.T[worst].tolist(), default=None),)
             point = np.array(min(one for (one,) in comm.allgather(points) if one is not None))
             word = "upper" if side > 0 else "lower"

@@ -11,7 +11,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import cell_means
 from fenicsx_obstacle.discrete.limit_load import HINT, check_limit_load, torn
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
-from fenicsx_obstacle.discrete.solvability import Support, check_support, forces_at_work
+from fenicsx_obstacle.discrete.solvability import check_support, forces_at_work
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
@@ -42,7 +42,7 @@ class Problem(MeshSystem):
         self.hint, self.checks = self._checks()
         self.load = self._load_sum()
         check_limit_load(self)
-        self._support()
+        self._check_support()
         self.set_reference(self.cold_start())
 
     def _look_at_data(self) -> None:
@@ -81,18 +81,9 @@ class Problem(MeshSystem):
             checks.append(trapped)
         return hint, tuple(checks)
 
-    def _check_support(self) -> Support:
-        """The result of `check_support`."""
-        return check_support(self)
-
-    def _support(self) -> None:
-        """Note what holds u."""
-        found, own = self._check_support(), self.owned
-        self.start = None if found.start is None else found.start[:own]
-        self.floating, self.borne, self.balanced = found.floating, found.borne, found.balanced
-        if found.borne is not None or found.balanced is not None:
-            count, component = self.level.parts
-            self.parts = count, component[:own]
+    def _check_support(self) -> None:
+        """Check what holds u, and note what only contact holds."""
+        check_support(self)
 
     def move(self, u_values: np.ndarray) -> bool:
         """As before.
@@ -127,7 +118,7 @@ class Problem(MeshSystem):
             self.drift = self.drift.renewed(self.data)
         self.load = self._load_sum()
         check_limit_load(self)
-        self._support()
+        self._check_support()
         return changed
 
     def _load_sum(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from mpi4py import MPI
@@ -19,26 +19,9 @@ ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
 EPSILON = float(np.finfo(float).eps)
 
 
-class Support(NamedTuple):
-    """What holds u on connected parts of the mesh on which u is given nowhere.
-
-    Attributes:
-        start: Values of u at local dofs in contact on these parts, not-a-number elsewhere; None where there are none.
-        floating: Whether on one of them nothing but contact holds u.
-        borne: For each part of the mesh whether contact alone bears its load; None where there are none.
-        balanced: For each part of the mesh whether only contact forces determine a constant that may be added to u:
-            its load adds up to 0, or A is not symmetric, and nothing else holds it; None where there are none.
-    """
-
-    start: np.ndarray | None = None
-    floating: bool = False
-    borne: np.ndarray | None = None
-    balanced: np.ndarray | None = None
-
-
-def check_support(problem: MeshSystem) -> Support:
-    """Check that each connected part of the mesh is supported, and find a start for parts that only contact supports
-    (collective).
+def check_support(problem: MeshSystem) -> None:
+    """Check that each connected part of the mesh is supported, and note in `start`, `floating`, `borne` and `balanced`
+    of the problem what only contact supports (collective).
 
     With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
     0. A support whose answer to u = 1 is below the round-off of the stiffness holds nothing; then an obstacle must, and
@@ -51,17 +34,19 @@ def check_support(problem: MeshSystem) -> Support:
         InputError: Since no u is in balance, or since round-off would decide which one is.
     """
     comm, level = problem.level.comm, problem.level
+    problem.start, problem.floating, problem.borne, problem.balanced = None, False, None, None
     if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
-        return Support()
+        return
     count, component = level.parts
     own = component[: level.owned]
+    problem.parts = count, own
 
     def sums(values: np.ndarray) -> np.ndarray:
         return np.asarray(comm.allreduce(np.bincount(own, values, count)))
 
     loose = sums(problem.fixed.astype(float)) == 0
     if not loose.any():
-        return Support()
+        return
     data = problem.data
     hard = tuple(none if side is None else side.x.array for side, none in ((data.lower, -np.inf), (data.upper, np.inf)))
     soft = _soft_obstacles(problem)
@@ -86,7 +71,7 @@ def check_support(problem: MeshSystem) -> Support:
     side = np.where(up & (~down | (net <= 0)), -1, 1)
     side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
     if not side.any():
-        return Support()
+        return
     start = np.full(len(component), np.nan)
     for sign, obstacle, soft_one, one in zip((-1, 1), hard, soft, stiff, strict=True):
         here, u_values = (side == sign)[component], np.broadcast_to(obstacle, len(component))
@@ -113,7 +98,8 @@ def check_support(problem: MeshSystem) -> Support:
     borne = by_contact & (np.abs(net) > size)
     # where A is not symmetric, its rows have to be without sum, and the load may be any
     balanced = by_contact & ~borne if problem.symmetric else by_contact & (sums(np.abs(moved)) <= scale * abs(shift))
-    return Support(start, bool(alone.any()), borne if borne.any() else None, balanced if balanced.any() else None)
+    problem.start, problem.floating = start[: level.owned], bool(alone.any())
+    problem.borne, problem.balanced = (flags if flags.any() else None for flags in (borne, balanced))
 
 
 def _soft_obstacles(problem: MeshSystem) -> tuple[np.ndarray | None, np.ndarray | None]:

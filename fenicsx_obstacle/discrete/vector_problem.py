@@ -20,7 +20,6 @@ from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.contact_nodes import VectorData
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.rigid import BodySystem, check_held, moves_freely
-from fenicsx_obstacle.discrete.solvability import Support
 from fenicsx_obstacle.parallel import total
 
 
@@ -115,9 +114,9 @@ class VectorProblem(BodySystem, Problem):
     def extent(self) -> float:  # type: ignore[override]
         return self.data.extent
 
-    def _check_support(self) -> Support:
+    def _check_support(self) -> None:
         self.loose = check_held(self)
-        return Support(floating=self.loose is not None)
+        self.floating = self.loose is not None
 
     def cold_start(self) -> np.ndarray:
         """u = 0 but for given values; beyond the obstacle at all contact nodes, where contact alone holds the body."""
