@@ -189,9 +189,7 @@ class TimeStepper:
         u_before = self.steps.u_values[0]
         if u is None:
             self._size = max(self._size, largest(self.problem.level.comm, np.abs(u_before)))
-            found = self._within.excess(before, t, self._size)
-        else:
-            found = self._within.excess_of_obstacles(before, t, (u_before, u))
+        found = self._within.excess(before, t, self._size, None if u is None else (u_before, u))
         if found is not None and t - before <= NO_STEP * self.moments.end:
             name = one_line(self.moments.name)
             raise InputError(

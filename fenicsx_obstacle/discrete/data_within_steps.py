@@ -88,41 +88,39 @@ class DataWithinSteps:
         self._largest: dict[Field, float] = {}
         self._moving = list(_moving(data))
 
-    def excess(self, start: float, end: float, size: float) -> Excess | None:
-        """The first datum found, other than an obstacle, that a step would miss; None if there is none (collective).
+    def excess(
+        self, start: float, end: float, size: float, u: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> Excess | None:
+        """The first datum found that a step would miss; None if there is none (collective).
+
+        An obstacle matters where it reaches u: a lower one where it is above u, and where it falls below a u that it
+        supports.
 
         Args:
             start: Start of the step.
             end: Its end.
             size: The largest |u| so far.
+            u: Solutions at both ends, at local dofs, if the obstacles are to be looked at; otherwise all other data
+                are, before the step.
         """
-        others = (one for one in self._moving if one.kind not in OBSTACLES)
-        found = (self._excess(one, start, end, self._allowed(one, start, end, size)) for one in others)
-        return next((excess for excess in found if excess is not None), None)
-
-    def excess_of_obstacles(self, start: float, end: float, u: tuple[np.ndarray, np.ndarray]) -> Excess | None:
-        """The same of the obstacles, where they reach u (collective).
-
-        A lower obstacle matters where it is above u, and where it falls below a u that it supports.
-
-        Args:
-            start: Start of the step.
-            end: Its end.
-            u: Solutions there, at local dofs.
-        """
-        obstacles = (one for one in self._moving if one.kind in OBSTACLES)
-        found = (self._excess(one, start, end, self.tolerance, u) for one in obstacles)
-        return next((excess for excess in found if excess is not None), None)
+        for one in self._moving:
+            if (one.kind in OBSTACLES) == (u is not None):
+                found = self._excess(one, start, end, size, u)
+                if found is not None:
+                    return found
+        return None
 
     def _excess(
-        self, one: _Moving, start: float, end: float, allowed: float, u: tuple[np.ndarray, np.ndarray] | None = None
+        self, one: _Moving, start: float, end: float, size: float, u: tuple[np.ndarray, np.ndarray] | None
     ) -> Excess | None:
         data, comm = self.data, self.data.level.comm
         assert data.model.time is not None
         field, names = data.here(one.field), data.names(one.field)
         ends = [field.at(one.x, {**names, "t": t}) for t in (start, end)]
-        if not np.isfinite(_largest(comm, ends)):  # the message comes from the step
+        highest = _largest(comm, ends)
+        if not np.isfinite(highest):  # the message comes from the step
             return None
+        allowed = self._allowed(one, end - start, size, highest)
         limits = np.minimum(*ends), np.maximum(*ends)
         if u is not None:
             limits = _reached(one, ends, [values[one.dofs] for values in u], self.tolerance)
@@ -141,19 +139,22 @@ class DataWithinSteps:
         if np.isfinite(size):
             self._largest[one.field] = max(size, self._largest.get(one.field, 0.0))
 
-    def _allowed(self, one: _Moving, start: float, end: float, size: float) -> float:
-        """By how much a datum may leave the range of its values at the ends of a step (collective)."""
+    def _allowed(self, one: _Moving, dt: float, size: float, highest: float) -> float:
+        """By how much a datum may leave the range of its values at the ends of a step (collective).
+
+        Args:
+            one: The datum.
+            dt: Length of the step.
+            size: The largest |u| so far.
+            highest: The largest absolute value at the ends of the step.
+        """
         if one.kind in UNIT_OF_U:
             return self.tolerance
         rates = [effect.value for effect in self.data.model.effects if effect.key == "rate"]
         if one.kind == LOAD and rates:
-            least = smallest(self.data.level.comm, self.data.values(rates[0], positive=True))
-            return self.tolerance * least / (end - start)
-        names = self.data.names(one.field)
-        for t in (start, end):
-            values = self.data.here(one.field).at(one.x, {**names, "t": t})
-            self._remember(one, _largest(self.data.level.comm, values))
-        return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest.get(one.field, 0.0)
+            return self.tolerance * smallest(self.data.level.comm, self.data.values(rates[0], positive=True)) / dt
+        self._remember(one, highest)
+        return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest[one.field]
 
 
 class _Search:
