@@ -306,7 +306,7 @@ def test_held_curves_inside():
         mesh=level.mesh, tension=1, load="2*pi^2*abs(sin(pi*x))*sin(pi*y)", lower=-1,
         boundary=[{"on": ["middle", "rim"], "value": 0}],
     )  # fmt: skip
-    context = SolverContext(two, level=replace(level, named=named, coarse=None, parents=None, places=None, shape=None))
+    context = SolverContext(two, level=replace(level, facets=named, coarse=None, parents=None, places=None, shape=None))
     both = context.answer(bound=True).bound
     one = solve(scene, cells=8, bound=True).bound
     assert both.words == "certified on the polygon of the mesh"

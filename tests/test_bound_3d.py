@@ -74,7 +74,7 @@ def test_held_surfaces_inside():
     level = SolverContext(scene(box, "left")).problem.level
     middle = dmesh.locate_entities(level.mesh, 2, lambda x: np.isclose(x[0], 0))
     ends = dmesh.locate_entities(level.mesh, 2, lambda x: np.isclose(np.abs(x[0]), 1))
-    own = replace(level, named={"middle": middle, "ends": ends}, coarse=None, parents=None, places=None, shape=None)
+    own = replace(level, facets={"middle": middle, "ends": ends}, coarse=None, parents=None, places=None, shape=None)
     both = SolverContext(scene(level.mesh, ["middle", "ends"]), level=own).answer(bound=True).bound
     one = solve(scene({**box, "x": [0, 1], "cells": 2}, ["left", "right"]), bound=True).bound
     assert np.isclose(both.discretisation, np.sqrt(2) * one.discretisation, rtol=1e-9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from math import factorial
@@ -37,9 +37,8 @@ class Level:
     Attributes:
         mesh: Cells of one kind.
         h: Side of the grid for shapes, largest sqrt(2|T|) or (6|T|)^(1/3) for other meshes.
-        named: Local facets of each named part of the boundary, or curve (in solids, surface) inside; None where they
-            are those of `coarse`.
-        materials: Owned cells of each named material; None where they are those of `coarse`.
+        facets: Local facets of each named part of the boundary, or curve (in solids, surface) inside.
+        groups: Owned cells of each named material.
         shape: The recipe asked for, for shapes; `mesh` has a coarser grid where it is to be refined.
         pair: V_h, the rule I and Q_h.
         coarse: The level it was refined from; of P2 that of P1 on the same mesh.
@@ -52,7 +51,7 @@ class Level:
         remarks: What the user should know of the mesh, in words.
         connected: Connected components of a mesh from a file or the caller; None where they are not known yet.
         bent: Local facets on each curve (in solids, surface) of a .geo or .step that is not straight, and on surfaces
-            in space owned cells, by dimension and number in Gmsh; None where they are those of `coarse`.
+            in space owned cells, by dimension and number in Gmsh.
         to_cad: Moves points to these, on one rank; None without them.
         vector: Whether functions of V have as many components as points have coordinates. Dofs are counted component by
             component; Q is scalar, of the same degree.
@@ -60,8 +59,8 @@ class Level:
 
     mesh: dmesh.Mesh
     h: float
-    named: dict[str, np.ndarray] | None = None
-    materials: dict[str, np.ndarray] | None = None
+    facets: dict[str, np.ndarray] = field(default_factory=dict)
+    groups: dict[str, np.ndarray] = field(default_factory=dict)
     shape: Shape | None = None
     pair: Pair = P1
     coarse: Level | None = None
@@ -71,7 +70,7 @@ class Level:
     straight: bool | None = None
     remarks: tuple[str, ...] = ()
     connected: Components | None = None
-    bent: dict[tuple[int, int], np.ndarray] | None = None
+    bent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
     to_cad: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
     vector: bool = False
 
@@ -128,41 +127,6 @@ class Level:
             places = np.tile(np.arange(releases.cell_dofs(self.V).shape[1]), (cells, 1))
             return parents.ends_of(self.V, of_cells, np.arange(cells), places)
         return parents.ends_of(self.V, of_cells, self.parents, self.places)
-
-    @cached_property
-    def facets(self) -> dict[str, np.ndarray]:
-        """Local facets of each named part of the boundary, curve or surface inside."""
-        if self.coarse is None or self.parents is None:
-            return self.named or {}
-        return self._inherited(self.coarse, self.coarse.facets)
-
-    def _inherited(self, coarse: Level, named: dict[Name, np.ndarray]) -> dict[Name, np.ndarray]:
-        """Local facets within facets of the level this one was refined from."""
-        assert self.parents is not None and self.places is not None
-        return parents.inherited(named, coarse.mesh, self.mesh, self.parents, self.places, len(self.grids))
-
-    @property
-    def _ancestors(self) -> np.ndarray:
-        """For each owned cell the local cell of `coarse` it came from."""
-        assert self.parents is not None
-        return self.parents // 2 ** (self.mesh.topology.dim * len(self.grids))
-
-    @cached_property
-    def bent_parts(self) -> dict[tuple[int, int], np.ndarray]:
-        """Facets and cells on CAD geometry that is not straight, as `bent`."""
-        if self.coarse is None or self.parents is None:
-            return self.bent or {}
-        above, dim = self.coarse.bent_parts, self.mesh.topology.dim
-        facets = {key: some for key, some in above.items() if key[0] < dim}
-        cells = {key: np.flatnonzero(np.isin(self._ancestors, some)) for key, some in above.items() if key[0] == dim}
-        return self._inherited(self.coarse, facets) | cells
-
-    @cached_property
-    def groups(self) -> dict[str, np.ndarray]:
-        """Owned cells of each named material."""
-        if self.coarse is None or self.parents is None:
-            return self.materials or {}
-        return {name: np.flatnonzero(np.isin(self._ancestors, cells)) for name, cells in self.coarse.groups.items()}
 
     @cached_property
     def on_meshes(self) -> Level:
@@ -315,8 +279,7 @@ def of_pair(level: Level, pair: Pair) -> Level:
         return level
     if not pair.nested_hierarchy:
         below = level if pair.has_p1_coarse_space else None
-        return replace(level, pair=pair, coarse=below, grids=(), parents=None, places=None, named=level.facets,
-                       materials=level.groups, bent=level.bent_parts)  # fmt: skip
+        return replace(level, pair=pair, coarse=below, grids=(), parents=None, places=None)
     return replace(level, pair=pair, coarse=None if level.coarse is None else of_pair(level.coarse, pair))
 
 
@@ -358,7 +321,7 @@ def over(level: Level) -> Level:
 
 def with_parts(level: Level, other: Level) -> Level:
     """The spaces of a level with the named parts and the size of the cells of another one on the same mesh."""
-    found = replace(level, h=other.h, named=other.facets, materials=other.groups, shape=other.shape,
+    found = replace(level, h=other.h, facets=other.facets, groups=other.groups, shape=other.shape,
                     remarks=other.remarks)  # fmt: skip
     found.__dict__.update(V=level.V, Q=level.Q)
     return found
@@ -414,10 +377,22 @@ def _above(
     level: Level, new: dmesh.Mesh, h: float, cells: np.ndarray, places: np.ndarray, pair: Pair,
     grids: tuple[Grid, ...] = (),
 ) -> Level:  # fmt: skip
-    """The next finer level, new vertices on curved boundaries moved there (collective)."""
+    """The next finer level, with the named parts of this one, and new vertices on curved boundaries moved there
+    (collective)."""
+    dim, ancestors = new.topology.dim, cells // 2 ** (new.topology.dim * len(grids))
+
+    def inherited(named: dict[Name, np.ndarray]) -> dict[Name, np.ndarray]:
+        return parents.inherited(named, level.mesh, new, cells, places, len(grids))
+
+    def within(named: dict[Name, np.ndarray]) -> dict[Name, np.ndarray]:
+        return {name: np.flatnonzero(np.isin(ancestors, some)).astype(np.int32) for name, some in named.items()}
+
+    bent_facets = {key: some for key, some in level.bent.items() if key[0] < dim}
+    bent_cells = {key: some for key, some in level.bent.items() if key[0] == dim}
     fine = replace(
-        level, mesh=new, h=h, named=None, materials=None, bent=None, pair=pair, coarse=level, grids=grids,
-        parents=cells, places=places, connected=None,
+        level, mesh=new, h=h, facets=inherited(level.facets), groups=within(level.groups),
+        bent=inherited(bent_facets) | within(bent_cells), pair=pair, coarse=level, grids=grids, parents=cells,
+        places=places, connected=None,
     )  # fmt: skip
     if level.project is not None or level.to_cad is not None:
         x, nodes = new.geometry.x, releases.dof_nodes(fine.V)
@@ -445,7 +420,7 @@ def _on_surface(level: Level, points: np.ndarray) -> np.ndarray:
         dofs = fem.locate_dofs_topological(level.V, level.mesh.topology.dim - 1, level.boundary_facets)
         points[dofs, :gdim] = level.project(points[dofs, :gdim])
     if level.to_cad is not None:
-        points = parents.on_cad(level.V, points, level.bent_parts, level.to_cad)
+        points = parents.on_cad(level.V, points, level.bent, level.to_cad)
     return points
 
 
@@ -470,7 +445,7 @@ def of_mesh(
         InputError: If its cells do not fit together.
     """
     found, remarks = check_mesh(mesh, source, curved=curved)
-    return Level(mesh, _largest_side(mesh), facets, groups, remarks=remarks, connected=found)
+    return Level(mesh, _largest_side(mesh), facets or {}, groups or {}, remarks=remarks, connected=found)
 
 
 def _largest_side(mesh: dmesh.Mesh) -> float:
