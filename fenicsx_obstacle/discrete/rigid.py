@@ -49,17 +49,6 @@ def rigid_motions(x: np.ndarray, components: int) -> np.ndarray:
     return found
 
 
-def motions_of(problem: BodySystem) -> np.ndarray:
-    """Rigid body motions in normal and tangential components at owned dofs, shape (motions, dofs) (collective)."""
-    level, contact = problem.level, problem.data.contact
-    centre, size = _box(level)
-    x = level.nodes[:, : level.V.dofmap.index_map.size_local]
-    motions = rigid_motions((x - centre[:, None]) / size, level.components)
-    return np.array([contact.rotated(motion.reshape(level.owned)) for motion in motions]).reshape(
-        len(motions), level.owned
-    )
-
-
 def _box(level: Level) -> tuple[np.ndarray, float]:
     """Centre of the box around all nodes, shape (3,), and its longest side (collective)."""
     low, high = level.box
@@ -140,7 +129,10 @@ class BodySystem(RigidMotions, MeshSystem):
 
     @cached_property
     def motions(self) -> np.ndarray:
-        return motions_of(self)
+        level, (centre, size) = self.level, _box(self.level)
+        x = level.nodes[:, : level.V.dofmap.index_map.size_local]
+        motions = rigid_motions((x - centre[:, None]) / size, level.components)
+        return np.array([self.data.contact.rotated(motion.ravel()) for motion in motions])
 
     def bounded_sides(self) -> list[tuple[np.ndarray, float]]:
         """Bounds at owned dofs on each side that has an obstacle, and where it is along N_i: 1 above, -1 below."""
@@ -190,13 +182,15 @@ def check_held(problem: BodySystem) -> np.ndarray | None:
     free = directions[:, strength <= INDEPENDENT * strength[0]].T
     if len(free):
         raise InputError(
-            f"{source}: the body is not supported: {_in_words(len(free))} that neither supports nor contact resist: "
+            f"{source}: the body is not supported: {len(free)} rigid body motion{'s are' if len(free) > 1 else ' is'} "
+            "free that neither supports nor contact resist: "
             f"{_named(problem, free @ shares)}; {_REMEDY}"
         )
     from scipy.optimize import nnls  # only where contact alone holds a body
 
     forces, left = nnls(everywhere, load, maxiter=100 * everywhere.shape[1])
-    if left > max(BALANCED * np.linalg.norm(load), ROUND_OFF * _size(problem)):
+    size = total(comm, np.abs(problem.elastic.array_r[~fixed]))
+    if left > max(BALANCED * np.linalg.norm(load), ROUND_OFF * size):
         raise InputError(
             f"{source}: only contact supports the body, and the load does not press it against the obstacles, so that "
             f"no solution exists: the load moves it: {_named(problem, (load - everywhere @ forces)[None] @ shares)}; "
@@ -235,11 +229,6 @@ def moves_freely(problem: System, active: np.ndarray) -> str | None:
     )
 
 
-def _size(problem: BodySystem) -> float:
-    """The sum of the loads at free dofs (collective)."""
-    return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))
-
-
 def _energies(problem: BodySystem, basis: np.ndarray) -> np.ndarray:
     """This rank's part of z . A z over the mean diagonal of A, for pairs of motions (collective)."""
     A = problem.matrices.stiffness
@@ -255,10 +244,6 @@ def _energies(problem: BodySystem, basis: np.ndarray) -> np.ndarray:
         vector.destroy()
     found = basis @ np.array(images).T / (mean or 1.0)
     return (found + found.T) / 2
-
-
-def _in_words(count: int) -> str:
-    return f"{count} rigid body {'motion is' if count == 1 else 'motions are'} free"
 
 
 def _named(problem: BodySystem, shares: np.ndarray) -> str:
