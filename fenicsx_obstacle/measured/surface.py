@@ -21,15 +21,13 @@ class Surface(ABC):
     """Piecewise polynomial values over a part of the plane or the line.
 
     Attributes:
-        continuous: Whether it is, for sure.
-        enclosed: Whether `bounds` holds over all of a simplex, without samples.
+        continuous: Whether it is, for sure; then `bounds` holds over all of a simplex, without samples.
         low: Least coordinates that it covers, shape (2,).
         high: Largest coordinates.
         spacing: Distance of neighbouring data, the median of all.
     """
 
     continuous: bool = True
-    enclosed: bool = True
     low: np.ndarray
     high: np.ndarray
     spacing: float

@@ -306,7 +306,7 @@ class MeasuredField(Field):
         return self.surface.at(self._inward(x[:2].T))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        if not self.surface.enclosed or corners.shape[2] != 2:
+        if not self.surface.continuous or corners.shape[2] != 2:
             return None
         return OnSurface(self.surface, self._inward(corners))
 

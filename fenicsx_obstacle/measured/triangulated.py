@@ -41,7 +41,7 @@ class Triangulated(Surface):
         self._slope = gradients(self._x, self._z)
         self.low, self.high = self._x.min(axis=(0, 1)), self._x.max(axis=(0, 1))
         self.spacing = float(np.median(np.sqrt(longest[wide])))
-        self.continuous = self.enclosed = _fills_convex_set(points, self._members)
+        self.continuous = _fills_convex_set(points, self._members)
         self._sort()
 
     def _sort(self) -> None:
