@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.measured.surface import EDGE, Surface, SurfaceBounds, bounds_of, gradients, parts, runs
+from fenicsx_obstacle.measured.surface import EDGE, Surface, gradients, parts, runs
 
 _FAR = 1e150  # the ends of the other axis of data along one axis
 _SNAP = 1e-11  # of its length: an end of a cell so near a line of the grid is on it
@@ -23,7 +23,7 @@ class Grid(Surface):
         """
         self.z = np.column_stack([z, z]) if y is None else z
         self.axes = (x, np.array([-_FAR, _FAR]) if y is None else y)
-        self._one_axis = y is None
+        self.degree = 1 if y is None else 2
         self.low, self.high = (np.array([axis[end] for axis in self.axes]) for end in (0, -1))
         steps = [np.diff(axis) for axis in self.axes]
         self.spacing = float(max(np.median(step) for step in (steps[:1] if y is None else steps)))
@@ -45,33 +45,24 @@ class Grid(Surface):
         z = self.z
         return (z[i, j] * (1 - s) + z[i + 1, j] * s) * (1 - t) + (z[i, j + 1] * (1 - s) + z[i + 1, j + 1] * s) * t
 
-    def bounds(self, corners: np.ndarray) -> SurfaceBounds:
-        low, high, steepest = self.beside(corners, np.zeros(corners.shape[:2]), flat=True)
-        first, last = self._lines(corners)
-        whole = np.all(last - first == 1, axis=1)
-        margin = EDGE * (self.high - self.low)
-        covered = np.all((corners >= self.low - margin) & (corners <= self.high + margin), axis=(1, 2))
-        return bounds_of(low, high, 1 if self._one_axis else 2, whole, covered, steepest)
-
-    def beside(
-        self, corners: np.ndarray, values: np.ndarray, *, flat: bool = False
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """As `Surface.beside`, over the boxes around the simplices, whose parts in the grid's rectangles are bilinear.
 
         Args:
             corners: Of the simplices.
             values: Of linear functions there.
-            flat: Whether these are 0.
         """
         first, last = self._lines(corners)
         low, high, steep = (np.empty(len(corners)) for _ in range(3))
-        counts = np.prod(last - first + 1, axis=1)
-        slope = np.zeros((len(corners), 2)) if flat else gradients(corners, values)
-        for block in parts(counts):
+        slope = gradients(corners, values)
+        for block in parts(np.prod(last - first + 1, axis=1)):
             found = self._in_boxes(corners[block], values[block, 0], slope[block], first[block], last[block])
             low[block], high[block], steep[block] = found
-        known = np.isfinite(slope).all(axis=1)
-        return np.where(known, low, -np.inf), np.where(known, high, np.inf), np.where(known, steep, np.inf)
+        unknown = ~np.isfinite(slope).all(axis=1)
+        low[unknown], high[unknown], steep[unknown] = -np.inf, np.inf, np.inf
+        margin = EDGE * (self.high - self.low)
+        covered = np.all((corners >= self.low - margin) & (corners <= self.high + margin), axis=(1, 2))
+        return low, high, steep, np.all(last - first == 1, axis=1), covered
 
     def _in_boxes(
         self, corners: np.ndarray, start: np.ndarray, slope: np.ndarray, first: np.ndarray, last: np.ndarray

@@ -22,12 +22,14 @@ class Surface(ABC):
 
     Attributes:
         continuous: Whether it is, for sure; then `bounds` holds over all of a simplex, without samples.
+        degree: Of the polynomials.
         low: Least coordinates that it covers, shape (2,).
         high: Largest coordinates.
         spacing: Distance of neighbouring data, the median of all.
     """
 
     continuous: bool = True
+    degree: int
     low: np.ndarray
     high: np.ndarray
     spacing: float
@@ -37,20 +39,26 @@ class Surface(ABC):
         """Heights at points, shape (n, 2); not-a-number outside."""
 
     @abstractmethod
-    def bounds(self, corners: np.ndarray) -> SurfaceBounds:
-        """Bounds over segments or triangles, shape (simplices, corners, 2)."""
-
-    @abstractmethod
-    def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The distance of the values from linear functions.
+    def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The distance of the values from linear functions on segments or triangles.
 
         Args:
-            corners: Of the simplices.
+            corners: Of the simplices, shape (simplices, corners, 2).
             values: Of the linear functions there, shape (simplices, corners).
 
         Returns:
-            Least and largest difference, the heights less these functions, and a bound of its gradient.
+            Least and largest difference, the heights less these functions; a bound of its gradient; whether one
+            polynomial is the surface all over a simplex; and whether the surface covers it.
         """
+
+    def bounds(self, corners: np.ndarray) -> SurfaceBounds:
+        """Bounds over segments or triangles, shape (simplices, corners, 2), with room for round-off."""
+        low, high, steepest, whole, covered = self.beside(corners, np.zeros(corners.shape[:2]))
+        margin = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
+        lower, upper = np.where(covered, low - margin, -np.inf), np.where(covered, high + margin, np.inf)
+        whole = whole & covered
+        degree = np.where(whole, self.degree, NO_POLYNOMIAL)
+        return SurfaceBounds(lower, upper, degree, whole, covered, steepest * MARGIN)
 
     def cuts(self, corners: np.ndarray) -> np.ndarray:
         """Values at the corners of linear functions that are 0 on a line where polynomials meet; 0 where none is
@@ -70,16 +78,6 @@ class SurfaceBounds(Bounds):
 
     def derivative(self, k: int) -> np.ndarray:
         return self.steepest if k == 1 else super().derivative(k)
-
-
-def bounds_of(
-    low: np.ndarray, high: np.ndarray, degree: int, whole: np.ndarray, covered: np.ndarray, steepest: np.ndarray
-) -> SurfaceBounds:
-    """Bounds with room for round-off."""
-    margin = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
-    lower, upper = np.where(covered, low - margin, -np.inf), np.where(covered, high + margin, np.inf)
-    whole = whole & covered
-    return SurfaceBounds(lower, upper, np.where(whole, degree, NO_POLYNOMIAL), whole, covered, steepest * MARGIN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +103,7 @@ class OnSurface(Enclosed):
         if not len(cells):
             return np.zeros(corners.shape[:2]), np.zeros(0), np.zeros(0)
         values = self.surface.at(corners.reshape(-1, 2)).reshape(corners.shape[:2])
-        low, high, steep = self.surface.beside(corners, values)
+        low, high, steep, *_ = self.surface.beside(corners, values)
         size = np.maximum(polynomials.row_size(values), np.maximum(np.abs(low), np.abs(high)))
         middle = np.zeros(len(cells))  # nothing is known over simplices without a size
         np.add(low / 2, high / 2, out=middle, where=np.isfinite(low))
@@ -125,16 +123,17 @@ class OnSurface(Enclosed):
 def gradients(corners: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Gradients of linear functions on triangles, or along segments, shape (simplices, 2).
 
-    Those of triangles without an area are not numbers.
+    Those on triangles without an area are not numbers, except that of 0.
     """
     edges, rises = corners[:, 1:] - corners[:, :1], values[:, 1:] - values[:, :1]
     with np.errstate(all="ignore"):
         if corners.shape[1] == 2:
-            edge = edges[:, 0]
-            return edge * (rises[:, 0] / np.sum(edge**2, axis=1))[:, None]
-        (a, b), (c, d) = edges[:, 0].T, edges[:, 1].T
-        cross = a * d - b * c
-        return np.column_stack([d * rises[:, 0] - b * rises[:, 1], a * rises[:, 1] - c * rises[:, 0]]) / cross[:, None]
+            found = edges[:, 0] * (rises[:, 0] / np.sum(edges[:, 0] ** 2, axis=1))[:, None]
+        else:
+            (a, b), (c, d) = edges[:, 0].T, edges[:, 1].T
+            across = np.column_stack([d * rises[:, 0] - b * rises[:, 1], a * rises[:, 1] - c * rises[:, 0]])
+            found = across / (a * d - b * c)[:, None]
+    return np.where((rises == 0).all(axis=1, keepdims=True), 0.0, found)
 
 
 def runs(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.measured.surface import EDGE, Surface, SurfaceBounds, bounds_of, gradients, parts, runs
+from fenicsx_obstacle.measured.surface import EDGE, Surface, gradients, parts, runs
 
 _INSIDE = 1e-9  # how far a barycentric coordinate may be below 0
 _NEAR_WHOLE = 1e-12  # the same of the corners of a cell that is said to lie in one triangle
@@ -17,6 +17,8 @@ class Triangulated(Surface):
 
     Bounds hold where the triangles fill a convex set and do not overlap; otherwise it is known by samples alone.
     """
+
+    degree = 1
 
     def __init__(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray):
         """Take them.
@@ -96,17 +98,7 @@ class Triangulated(Surface):
             np.maximum.at(there, rows[inside], heights[inside])
         return np.where(np.isfinite(found), found, np.nan)
 
-    def bounds(self, corners: np.ndarray) -> SurfaceBounds:
-        low, high, steepest, whole, covered = self._seen(corners, np.zeros(corners.shape[:2]))
-        return bounds_of(low, high, 1, whole, covered, steepest)
-
-    def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        low, high, steep, *_ = self._seen(corners, values)
-        return low, high, steep
-
-    def _seen(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Least and largest difference to linear functions, a bound of its gradient, whether one triangle holds a
-        simplex, and whether triangles hold all of its corners."""
+    def beside(self, corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, ...]:
         first, last = self._box(corners.min(axis=1)), self._box(corners.max(axis=1))
         slope = gradients(corners, values)
         found = tuple(np.empty(len(corners)) for _ in range(3)) + tuple(np.empty((2, len(corners)), dtype=bool))
