@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import cos, isfinite, radians, sin
 from pathlib import Path
@@ -128,12 +128,11 @@ class MeasuredField(Field):
 
     def _made(self, heights: Heights) -> Surface:
         if heights.matrix is not None:
-            x, y, z = self._of_matrix(heights)
-            self._check_extents(used=True)
-            return self._grid(x, y, z)
-        self._check_extents(used=False)
+            return self._grid(*self._of_matrix(heights))
+        self._check_extents()
         assert heights.columns is not None
-        self._check_finite(heights.columns)
+        columns = heights.columns
+        self._check_finite(columns, lambda k: f"({', '.join(f'{x:.4g}' for x in columns[k, :-1])})")
         scaled = heights.columns * self._scale[[0, 2] if self.along_x else [0, 1, 2]]
         if heights.triangles is not None:
             return self._triangulated(scaled[:, :2], scaled[:, 2], heights.triangles)
@@ -155,12 +154,10 @@ class MeasuredField(Field):
         except InputError as error:
             raise InputError(f"{self.source}: {error}") from None
 
-    def _check_extents(self, *, used: bool) -> None:
-        """Reject keys that do not belong to the data."""
-        if self.table.file is None or used:
-            return
+    def _check_extents(self) -> None:
+        """Reject keys that do not belong to data with coordinates."""
         for key in ("x", "y", "range"):
-            if getattr(self.table, key) is not None:
+            if self.table.file is not None and getattr(self.table, key) is not None:
                 raise InputError(f"{self._name}: {key} has no meaning for data that have coordinates")
 
     def _of_matrix(self, heights: Heights) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -187,25 +184,19 @@ class MeasuredField(Field):
             z = low + (high - low) * z
         elif self.table.range is not None:
             raise InputError(f"{self._name}: range is for images")
-        bad = np.argwhere(~np.isfinite(z))
-        if len(bad):
-            places = [f"row {row + 1}, column {column + 1}" for row, column in bad[:_LISTED]]
-            self._refuse_missing(len(bad), z.size, places)
+        columns = z.shape[1]
+        self._check_finite(z.reshape(-1, 1), lambda k: f"row {k // columns + 1}, column {k % columns + 1}")
         return axes[0] * self._scale[0], axes[1] * self._scale[1], z.T * self._scale[2]
 
-    def _check_finite(self, columns: np.ndarray) -> None:
-        bad = np.flatnonzero(~np.isfinite(columns).all(axis=1))
+    def _check_finite(self, rows: np.ndarray, place: Callable[[int], str]) -> None:
+        """Reject rows with a number that is not finite, naming the places of the first ones."""
+        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
         if len(bad):
-            places = [f"({', '.join(f'{x:.4g}' for x in columns[row, :-1])})" for row in bad[:_LISTED]]
-            self._refuse_missing(len(bad), len(columns), places)
-
-    def _refuse_missing(self, count: int, total: int, places: Sequence[str]) -> None:
-        more = " and more" if count > len(places) else ""
-        raise InputError(
-            f"{self._name}: {count} of {counted(total, 'value')} are not finite numbers: at "
-            f"{'; '.join(places)}{more}; "
-            "replace them, or remove these points: the others are then triangulated"
-        )
+            places = "; ".join(map(place, bad[:_LISTED])) + (" and more" if len(bad) > _LISTED else "")
+            raise InputError(
+                f"{self._name}: {len(bad)} of {counted(len(rows), 'value')} are not finite numbers: at {places}; "
+                "replace them, or remove these points: the others are then triangulated"
+            )
 
     def _of_points(self, points: np.ndarray) -> Surface:
         """A grid if the points are one, else triangles between them."""
