@@ -74,14 +74,6 @@ class Model:
         """Keys of the effects that act on a part of the boundary, counted from 0."""
         return [effect.key for effect in self.effects if getattr(effect, "part", None) == number]
 
-    def instead_of(self, field: Field | None, value: float) -> str:
-        """The end of a message: the value to use instead of an infinite obstacle."""
-        parts: list[Model | Part] = [self, *self.boundary]
-        for far, sides in (("-1e20", [one.lower for one in parts]), ("1e20", [one.upper for one in parts])):
-            if abs(value) == float("inf") and any(field is side for side in sides if side is not None):
-                return f"; take {far} where there is no obstacle"
-        return ""
-
     @property
     def thin(self) -> bool:
         """Whether obstacles are on the boundary, or on curves inside, instead of in the domain."""

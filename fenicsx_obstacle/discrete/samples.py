@@ -158,19 +158,21 @@ class Samples:
         """
         values = array_of(function)
         bad = ~(np.isfinite(values) | (values == none))
-        self._refuse(field, function, bad, "is not a finite number: it is", words)
+        hint = f"; take {'-' * (none < 0)}1e20 where there is no obstacle" if none else ""
+        self._refuse(field, function, bad, "is not a finite number: it is", words, hint)
 
-    def _refuse(self, field: Field | None, function: Cellwise, bad: np.ndarray, what: str, words: str = "") -> None:
-        """All ranks raise if any value is bad, naming one place (collective)."""
+    def _refuse(
+        self, field: Field | None, function: Cellwise, bad: np.ndarray, what: str, words: str = "", hint: str = ""
+    ) -> None:
+        """All ranks raise if any value is bad, naming one place, with a hint if it is infinite (collective)."""
         if isinstance(function, fem.Constant):
             found, where = (float(function.value), np.zeros(3)) if bad.any() else None, ""
         else:
             found = self._first(function, bad)
             where = "" if found is None else f" at {self.place(found[1])}"
         if found is not None:
-            because = (
-                "" if field is None else field.because(found[1], self.now) + self.model.instead_of(field, found[0])
-            )
+            because = "" if field is None else field.because(found[1], self.now)
+            because += hint if np.isinf(found[0]) else ""
             raise InputError(f"{words or f'{field}:'} {what} {found[0]:g}{where}{because}")
 
     def _first(self, function: fem.Function, bad: np.ndarray) -> tuple[float, np.ndarray] | None:
