@@ -157,41 +157,29 @@ class DataWithinSteps:
         return min(RELATIVE, self.tolerance / size if size > 0 else np.inf) * self._largest[one.field]
 
 
+@dataclass(eq=False)
 class _Search:
     """A search for a time within a step at which a datum leaves the range of its values at the ends (local).
 
     Attributes:
+        field: The datum, on this mesh.
+        x: Points, shape (3, n).
+        names: As for `Field.at`.
+        step: Start and end of the step.
+        ends: Values there.
+        limits: Least and largest value that the datum may have at each point, up to round-off.
+        allowed: By how much it may exceed these.
         unknown: Whether neither such a time was found, nor bounds show that there is none.
     """
 
-    def __init__(
-        self,
-        field: Field,
-        x: np.ndarray,
-        names: Names,
-        step: tuple[float, float],
-        ends: Sequence[np.ndarray],
-        limits: tuple[np.ndarray, np.ndarray],
-        allowed: float,
-    ):
-        """Begin.
-
-        Args:
-            field: The datum, on this mesh.
-            x: Points, shape (3, n).
-            names: As for `Field.at`.
-            step: Start and end of the step.
-            ends: Values there.
-            limits: Least and largest value that the datum may have at each point.
-            allowed: By how much it may exceed these.
-        """
-        self.field, self.x, self.names = field, x, names
-        self.start, self.end = step
-        self.ends = ends
-        low, high = limits
-        self.low, self.high = low - ROUND_OFF * np.abs(low), high + ROUND_OFF * np.abs(high)
-        self.allowed = allowed
-        self.unknown = False
+    field: Field
+    x: np.ndarray
+    names: Names
+    step: tuple[float, float]
+    ends: Sequence[np.ndarray]
+    limits: tuple[np.ndarray, np.ndarray]
+    allowed: float
+    unknown: bool = False
 
     def by_bounds(self, shortest: float) -> tuple[float, float] | None:
         """Halve the step until bounds are small enough, or a value is too large.
@@ -202,7 +190,7 @@ class _Search:
         Returns:
             Time and size of the excess, if there is one.
         """
-        shortest = min(shortest, (self.end - self.start) / SAMPLES)
+        shortest = min(shortest, (self.step[1] - self.step[0]) / SAMPLES)
         for first in range(0, self.x.shape[1], BLOCK):
             found = self._in_block(np.arange(first, min(first + BLOCK, self.x.shape[1])), shortest)
             if found is not None:
@@ -212,7 +200,7 @@ class _Search:
 
     def _in_block(self, rows: np.ndarray, shortest: float) -> tuple[float, float] | None:
         left = FEWEST_PIECES + PIECES * len(rows)
-        a, b = np.full(len(rows), self.start), np.full(len(rows), self.end)
+        a, b = (np.full(len(rows), t) for t in self.step)
         at_a, at_b = (values[rows] for values in self.ends)
         while len(rows):
             left -= len(rows)
@@ -240,10 +228,10 @@ class _Search:
         Returns:
             Time and size of the excess, if there is one.
         """
-        rows = np.arange(self.x.shape[1])
-        count = max(SAMPLES, int(np.ceil(SAMPLES_PER_STEP * (self.end - self.start) / usual)))
+        rows, (start, end) = np.arange(self.x.shape[1]), self.step
+        count = max(SAMPLES, int(np.ceil(SAMPLES_PER_STEP * (end - start) / usual)))
         for k in range(1, count + 1):
-            t = self.start + k * GOLDEN % 1 * (self.end - self.start)
+            t = start + k * GOLDEN % 1 * (end - start)
             if (found := self._beyond(rows, np.full(len(rows), t), self._at(rows, t))) is not None:
                 return found
         return None
@@ -261,7 +249,8 @@ class _Search:
 
     def _most(self, rows: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """A bound of the excess over intervals."""
-        low, high = self.low[rows], self.high[rows]
+        low, high = (limit[rows] for limit in self.limits)
+        low, high = low - ROUND_OFF * np.abs(low), high + ROUND_OFF * np.abs(high)
         with np.errstate(invalid="ignore"):
             above, below = bounds[1] - high, low - bounds[0]
         return np.maximum(np.where(high == np.inf, -np.inf, above), np.where(low == -np.inf, -np.inf, below))
