@@ -55,33 +55,6 @@ def _box(level: Level) -> tuple[np.ndarray, float]:
     return (low + high) / 2, max(np.max(high - low), 1e-300)
 
 
-def near_null_space(problem: RigidMotions, free: np.ndarray) -> PETSc.NullSpace | None:
-    """The motions with zeros at dofs that are held, orthonormal (collective).
-
-    Zeros at the normal components of closed nodes keep coarse corrections from moving them, so that counts of linear
-    steps do not depend on eps.
-
-    Args:
-        problem: Whose matrix it is for.
-        free: Whether an owned dof is not held.
-    """
-    comm, struck = problem.comm, problem.motions * free
-    values, vectors = np.linalg.eigh(comm.allreduce(struck @ struck.T))
-    kept = values > INDEPENDENT * max(values[-1], 1e-300)
-    basis = (vectors[:, kept] / np.sqrt(values[kept])).T @ struck
-    if not len(basis):
-        return None
-    found = []
-    for row in basis:
-        vector = problem.A.createVecRight()
-        vector.array[:] = row
-        found.append(vector)
-    space = PETSc.NullSpace().create(vectors=found, comm=comm)
-    for vector in found:
-        vector.destroy()
-    return space
-
-
 class RigidMotions(System, ABC):
     """A system whose matrix has rigid body motions as near-null space of algebraic multigrid."""
 
@@ -113,11 +86,24 @@ class RigidMotions(System, ABC):
         self._set_near_null_space(penalty_diagonal)
 
     def _set_near_null_space(self, penalty_diagonal: np.ndarray) -> None:
-        """Give A the motions that its penalty diagonal leaves free (collective)."""
-        space = near_null_space(self, (penalty_diagonal == 0) & ~self.fixed)
-        if space is not None:
+        """Give A the motions, orthonormal, with zeros at dofs that are held (collective).
+
+        Zeros at the normal components of closed nodes keep coarse corrections from moving them, so that counts of
+        linear steps do not depend on eps.
+        """
+        struck = self.motions * ((penalty_diagonal == 0) & ~self.fixed)
+        values, vectors = np.linalg.eigh(self.comm.allreduce(struck @ struck.T))
+        kept = values > INDEPENDENT * max(values[-1], 1e-300)
+        found = []
+        for row in (vectors[:, kept] / np.sqrt(values[kept])).T @ struck:
+            vector = self.A.createVecRight()
+            vector.array[:] = row
+            found.append(vector)
+        if found:
+            space = PETSc.NullSpace().create(vectors=found, comm=self.comm)
             self.A.setNearNullSpace(space)
-            space.destroy()
+            for owner in (*found, space):
+                owner.destroy()
 
 
 class BodySystem(RigidMotions, MeshSystem):
