@@ -94,11 +94,11 @@ def _sought(data: Samples, fields: Sequence[Field], quantity: Quantity, nodes: n
         return _finite(np.stack([-quantity(x), *conditions, *(-margin for margin in conditions)]), -np.inf)
 
     comm, dim = data.level.comm, data.level.mesh.geometry.dim
-    u_values = goals(nodes)
-    best = np.argsort(-u_values, axis=1, kind="stable")[:, :STARTS]
-    starts = comm.allgather([(u_values[k, row], nodes[:, row].T) for k, row in enumerate(best)])
+    reached = goals(nodes)
+    best = np.argsort(-reached, axis=1, kind="stable")[:, :STARTS]
+    starts = comm.allgather([(reached[k, row], nodes[:, row].T) for k, row in enumerate(best)])
     at, value, goal = [], [], []
-    for k in range(len(u_values)):
+    for k in range(len(reached)):
         high = np.concatenate([one[k][0] for one in starts])
         where = np.concatenate([one[k][1] for one in starts])
         order = np.lexsort((*where.T[::-1], -high))[:STARTS]
@@ -112,7 +112,7 @@ def _sought(data: Samples, fields: Sequence[Field], quantity: Quantity, nodes: n
     for _ in range(STEPS):
         trials = point[:, :, None] + step[:, None] * compass.T[:, None, :]
         flat = trials.reshape(3, -1)
-        result = goals(flat).reshape(len(u_values), len(aim), -1)
+        result = goals(flat).reshape(len(reached), len(aim), -1)
         bad = result[0].ravel() > -limit
         seen.append(np.column_stack([flat.T[bad], result[0].ravel()[bad]]))
         of_aim = result[aim, np.arange(len(aim))]
