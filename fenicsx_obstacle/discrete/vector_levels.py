@@ -139,14 +139,7 @@ def _nodes(problem: VectorProblem) -> Nodes:
 
 
 def _graph(A: PETSc.Mat, components: int) -> PETSc.Mat:
-    """Which nodes the first components of a matrix couple, as a matrix of ones (collective)."""
-    starts, columns, _ = A.getValuesCSR()
-    (own, rows), _ = A.getSizes()
-    of_first = scipy.sparse.csr_matrix((np.ones(len(columns)), columns, starts), shape=(own, rows))[::components]
-    graph = scipy.sparse.csr_matrix(
-        (of_first.data, of_first.indices // components, of_first.indptr), shape=(own // components, rows // components)
-    )
-    graph.sum_duplicates()
-    csr = graph.indptr.astype(PETSc.IntType), graph.indices.astype(PETSc.IntType), graph.data
-    size = own // components, rows // components
-    return PETSc.Mat().createAIJ((size, size), csr=csr, comm=A.comm)
+    """The first components at the nodes in a matrix, which couple where the nodes do (collective)."""
+    first, last = A.getOwnershipRange()
+    nodes = PETSc.IS().createStride((last - first) // components, first, components, comm=A.comm)
+    return A.createSubMatrix(nodes, nodes)
