@@ -6,6 +6,7 @@ separate membranes: no error shows in the solution.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations
 
@@ -222,16 +223,7 @@ def _check_contact(mesh: dmesh.Mesh, found: Components) -> list[str]:
     Raises:
         InputError: Naming a place and the remedy.
     """
-    comm, dim = mesh.comm, mesh.topology.dim
-    rim = comm.gather(_rim(mesh, found))
-
-    def touching() -> tuple[list[str], np.ndarray, np.ndarray]:
-        vertices, component, size = map(np.concatenate, zip(*rim, strict=True))
-        remarks = _touching(vertices, component, _near(vertices, size))
-        samples = np.concatenate([vertices, vertices.mean(axis=1, keepdims=True)], axis=1)[:, dim == 1 :]
-        return (remarks, samples, component) if found.count > 1 else (remarks, samples[:0], component[:0])
-
-    remarks, samples, component = on_root(comm, touching)
+    remarks, samples, component = on_root(mesh.comm, _touching, mesh.comm.gather(_rim(mesh, found)))
     if found.count > 1:
         _check_overlap(mesh, found, samples, component)
         remarks.insert(0, f"{found.count} parts that are not connected: u must be supported in each")
@@ -256,32 +248,43 @@ def _rim(mesh: dmesh.Mesh, found: Components) -> tuple[np.ndarray, ...]:
     return vertices, found.of_cells[cells], size
 
 
-def _near(vertices: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """The distance below which something touches each facet."""
+def _touching(rim: Sequence[tuple[np.ndarray, ...]]) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Reject exterior facets that lie on each other, but the two sides of a slit (one rank).
+
+    Args:
+        rim: What `_rim` found on each rank.
+
+    Returns:
+        Remarks; and where there are several components the vertices and the middle of each facet, shape (facets,
+        points, 3), and its component.
+    """
+    vertices, component, size = map(np.concatenate, zip(*rim, strict=True))
     extent = np.ptp(vertices.reshape(-1, 3), axis=0).max() if len(vertices) else 0.0
-    return np.minimum(LARGEST * size, np.maximum(NEAR * size, FEW_DIGITS * extent))
-
-
-def _touching(vertices: np.ndarray, component: np.ndarray, near: np.ndarray) -> list[str]:
-    """Reject exterior facets that lie on each other, but the two sides of a slit (one rank)."""
+    near = np.minimum(LARGEST * size, np.maximum(NEAR * size, FEW_DIGITS * extent))
     f, g = _pairs(vertices, near)
     allowed = np.minimum(near[f], near[g])
     apart = np.linalg.norm(vertices[f][:, :, None] - vertices[g][:, None], axis=3)
     same = (apart.min(axis=2) <= allowed[:, None]).all(axis=1) & (apart.min(axis=1) <= allowed[:, None]).all(axis=1)
     other = component[f] != component[g]
-    middles = vertices.mean(axis=1)
+    middles, remarks = vertices.mean(axis=1), list[str]()
     for bad, what in (
         (other, "two parts of the mesh touch without shared nodes"),
         (~other & ~same, "cells touch along a part of their sides only (hanging nodes)"),
     ):
         if bad.any():
-            lie = np.concatenate([middles[f[bad]], middles[g[bad]]])
-            at = place(lie[np.lexsort(lie.T[::-1])[0]])
+            at = _first(np.concatenate([middles[f[bad]], middles[g[bad]]]))
             raise InputError(f"{what}: {counted(int(bad.sum()), 'pair')} of sides, one at {at}; {_REMEDY}")
-    if not len(f):
-        return []
-    at = place(middles[f][np.lexsort(middles[f].T[::-1])[0]])
-    return [f"a slit at {at}: {counted(len(f), 'pair')} of sides without shared nodes"]
+    if len(f):
+        remarks.append(f"a slit at {_first(middles[f])}: {counted(len(f), 'pair')} of sides without shared nodes")
+    if not component.any():
+        return remarks, vertices[:0], component[:0]
+    points = [middles[:, None]] if vertices.shape[1] == 1 else [vertices, middles[:, None]]
+    return remarks, np.concatenate(points, axis=1), component
+
+
+def _first(points: np.ndarray) -> str:
+    """The first of some points, shape (n, 3), by their coordinates."""
+    return place(points[np.lexsort(points.T[::-1])[0]])
 
 
 def _pairs(vertices: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -366,6 +369,5 @@ def _check_overlap(mesh: dmesh.Mesh, found: Components, samples: np.ndarray, com
         on, times = np.unique(np.unique(hits, axis=0)[:, :2], axis=0, return_counts=True)
         facets = on[times == samples.shape[1], 0]
     if len(facets):
-        first = samples[facets, 0]
         what = "overlap" if solid else "touch without shared nodes"
-        raise InputError(f"two parts of the mesh {what}, at {place(first[np.lexsort(first.T[::-1])[0]])}; {_REMEDY}")
+        raise InputError(f"two parts of the mesh {what}, at {_first(samples[facets, 0])}; {_REMEDY}")
