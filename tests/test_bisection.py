@@ -8,7 +8,7 @@ from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
-from fenicsx_obstacle.discrete.transfer import to_parents
+from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
@@ -66,7 +66,7 @@ def extent(level, facets):
 def test_prolongation_keeps_linear_functions(name):
     """A new vertex is the middle of an edge of the coarser mesh, or one of its vertices."""
     fine = refined(COMM, MESHES[name])
-    P = to_parents(fine).P
+    P = next(downward(fine)).P
     x, y = P.createVecs()
     linear = np.array([1.0, 2.0, 3.0])
     x.array[:] = (linear @ fine.coarse.points)[: fine.coarse.owned]

@@ -122,25 +122,19 @@ def galerkin_systems(problem: Problem, *, algebraic: bool = True) -> list[System
         problem: The problem.
         algebraic: Whether to construct algebraic ones.
     """
-    level, found = problem.level, list[System]()
-    if level.pair.has_p1_coarse_space:
-        assert level.coarse is not None
-        level = level.coarse
-    if not level.pair.at_vertices:
+    level, bottom, found = problem.level, problem.level.downward[-1], list[System]()
+    vertices = level.coarse if level.pair.has_p1_coarse_space else level
+    assert vertices is not None
+    if not vertices.pair.at_vertices:
         return []
-    loops = kernels(level.comm) if algebraic and level.downward[-1].dofs >= SMALLEST else None
+    loops = kernels(level.comm) if algebraic and bottom.dofs >= SMALLEST else None
+    if loops is None and vertices is bottom:
+        return []
     lowest: System = problem
-    if level is not problem.level:
-        if level.coarse is None and loops is None:
-            return []
-        lowest = below(problem, problem.transfer)
-        found.append(lowest)
     for transfer in downward(level):
         lowest = below(lowest, transfer)
         found.insert(0, lowest)
-    if loops is None:
-        return found
-    return [*algebraic_levels(lowest, _nodes(lowest, level.downward[-1]), loops), *found]
+    return found if loops is None else [*algebraic_levels(lowest, _nodes(lowest, bottom), loops), *found]
 
 
 def _nodes(system: System, level: Level) -> Nodes:

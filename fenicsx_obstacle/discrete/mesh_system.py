@@ -15,7 +15,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.transfer import to_parents
+from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.parallel import largest, smallest
 
 
@@ -94,7 +94,7 @@ class MeshSystem(System):
     def transfer(self) -> Transfer:  # type: ignore[override]
         """Interpolation from the next coarser problem; by default from the mesh that this one was refined from (first
         use is collective)."""
-        return to_parents(self.level.on_meshes if self.level.grids else self.level)
+        return next(downward(self.level.on_meshes if self.level.grids else self.level))
 
     @property
     def has_energy(self) -> bool:  # type: ignore[override]

@@ -13,17 +13,10 @@ from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
 
 
-def to_parents(level: Level) -> Transfer:
-    """Interpolation from the mesh that a mesh was refined from, or from P1 on the same mesh to P2 (collective)."""
-    assert level.coarse is not None and not level.grids
-    return _transfer(level.ends, Numbers.of(level.comm, level.coarse.V.dofmap.index_map), level.comm)
-
-
 def downward(level: Level) -> Iterator[Transfer]:
     """Interpolation to a level from the one below, to that from the next, and so on (collective).
 
-    Args:
-        level: P1.
+    Below P2 is P1 on the same mesh, below that the grids and meshes that it was refined from.
     """
     while level.coarse is not None:
         numbers = [Numbers.of(level.comm, level.coarse.V.dofmap.index_map), *(grid.number for grid in level.grids)]
