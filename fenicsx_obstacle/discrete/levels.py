@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from math import factorial
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -97,6 +98,11 @@ class Level:
         """Coordinates of the local nodes, shape (3, nodes) (first use is collective)."""
         return self.points[:, :: self.components]
 
+    def given(self, **known: Any) -> Level:
+        """This level, with values in place of those that would be made on first use."""
+        self.__dict__.update(known)
+        return self
+
     def forget_points(self) -> None:
         """Free the coordinates, once data have been sampled; the next use, which is collective, makes them anew."""
         self.__dict__.pop("points", None)
@@ -144,9 +150,7 @@ class Level:
             rows = np.empty(len(kept), dtype=np.int32)
             rows[kept] = np.arange(len(kept))
         mine = self.parents if self.parents is None or not self.grids else rows[self.parents]
-        found = replace(self, coarse=below, grids=(), parents=mine)
-        found.__dict__["V"] = self.V
-        return found
+        return replace(self, coarse=below, grids=(), parents=mine).given(V=self.V)
 
     @property
     def polygonal(self) -> bool | None:
@@ -185,9 +189,7 @@ class Level:
 
     @cached_property
     def _of_q(self) -> Level:
-        level = Level(self.mesh, self.h, self.facets, self.groups, pair=self.pair)
-        level.__dict__["V"] = self.Q
-        return level
+        return Level(self.mesh, self.h, self.facets, self.groups, pair=self.pair).given(V=self.Q)
 
     @cached_property
     def node_of(self) -> np.ndarray:
@@ -307,24 +309,20 @@ def of_space(
         raise InputError(f"{source}: no rule at the nodes of degree {degree} on a {cell} has positive weights (3.6): "
                          "take degree 1, or cells with another shape")  # fmt: skip
     level = of_mesh(releases.settle(V.mesh), source, facets, curved=vector)
-    level = replace(level, pair=pair, vector=True) if vector else of_pair(level, pair)
-    level.__dict__["V"] = V  # in place of one made on first use
-    return level
+    return (replace(level, pair=pair, vector=True) if vector else of_pair(level, pair)).given(V=V)
 
 
 def over(level: Level) -> Level:
     """The vector-valued space over a scalar one, whose functions are its components (collective)."""
     found = Level(level.mesh, level.h, level.facets, level.groups, pair=level.pair, vector=True)
-    found.__dict__.update(Q=level.V, _of_q=level)
-    return found
+    return found.given(Q=level.V, _of_q=level)
 
 
 def with_parts(level: Level, other: Level) -> Level:
     """The spaces of a level with the named parts and the size of the cells of another one on the same mesh."""
     found = replace(level, h=other.h, facets=other.facets, groups=other.groups, shape=other.shape,
                     remarks=other.remarks)  # fmt: skip
-    found.__dict__.update(V=level.V, Q=level.Q)
-    return found
+    return found.given(V=level.V, Q=level.Q)
 
 
 def vector_pair(pair: Pair) -> Pair:
@@ -350,9 +348,8 @@ def refined(level: Level, times: int = 1) -> Level:
     assert last.places is not None
     cells, places = kept // 2**last.dim, last.places[kept]
     fine = _above(level, mesh, level.h / 2**times, cells, places, P1, tuple(between))
-    if halves_at_once(level) and level.project is None:  # cells are similar to their ancestors
-        fine.__dict__["h_max"] = level.h_max / 2**times  # in place of that found on first use
-    return fine
+    similar = halves_at_once(level) and level.project is None  # cells to their ancestors
+    return fine.given(h_max=level.h_max / 2**times) if similar else fine
 
 
 def halves_at_once(level: Level) -> bool:
@@ -409,8 +406,7 @@ def at_surface(level: Level) -> Level:
     if level.pair.degree == 1:
         return level
     found = replace(level)
-    found.__dict__["points"] = np.ascontiguousarray(_on_surface(found, found.points.T).T)  # in place of the usual ones
-    return found
+    return found.given(points=np.ascontiguousarray(_on_surface(found, found.points.T).T))
 
 
 def _on_surface(level: Level, points: np.ndarray) -> np.ndarray:
