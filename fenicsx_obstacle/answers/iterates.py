@@ -11,7 +11,6 @@ import numpy as np
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.fields.scalar import Fields
@@ -52,7 +51,7 @@ def iterates(scene: Scene, level: Level) -> list[Iterate]:
 
     def monitor(problem: System, step: Step, active: np.ndarray) -> None:
         assert isinstance(problem, Problem)
-        contact = in_q(problem.level, (active != 0).astype(float))
+        contact = problem.in_q((active != 0).astype(float))
         arrays = gather(Fields(problem.level, problem.solution(), contact, contact))
         dofs = problem.level.dofs
         before = found[-1] if found and found[-1].dofs == dofs else None

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem
+from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
+from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.duality import in_q
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.transfer import downward
@@ -76,8 +78,22 @@ class MeshSystem(System):
         return u_values
 
     def in_q(self, values: np.ndarray) -> fem.Function:
-        """Values at owned points of I as a Function of Q_h (collective)."""
-        return in_q(self.level, values)
+        """The function of Q_h with these values at the owned points of I (collective).
+
+        Args:
+            values: One for each owned dof of V_h, or of Q_h where the pair is not nodal.
+        """
+        level, q = self.level, fem.Function(self.level.Q)
+        if level.Q is level.V or not level.pair.nodal:
+            q.x.array[: len(values)] = values
+        else:  # midpoints of edges: the dofs of V_h there follow those of the vertices
+            everywhere = fem.Function(level.V)
+            everywhere.x.array[: len(values)] = values
+            everywhere.x.scatter_forward()
+            middles = releases.cell_dofs(level.V)[:, -releases.cell_dofs(level.Q).shape[1] :]
+            q.x.array[releases.cell_dofs(level.Q).ravel()] = everywhere.x.array[middles.ravel()]
+        q.x.scatter_forward()
+        return q
 
     def pressures(self, p: np.ndarray) -> fem.Function:
         """The same of pressures, whose Q_h may have more nodes (collective)."""
@@ -101,3 +117,19 @@ class MeshSystem(System):
         w, data, effects = self.law.w, self.data, self.model.effects
         derived = (e.energy(w, data) is not None or e.terms(w, self.law.v, data) is None for e in effects)
         return all(effect.convex for effect in effects) and all(derived)
+
+
+def cell_means(level: Level) -> PETSc.Mat:
+    """The map from values at owned dofs of V_h to the means of the nodal values of each cell, at the owned dofs of Q_h
+    (collective)."""
+    own, dofs = own_cells(level.mesh), releases.cell_dofs(level.V)
+    rows = releases.cell_dofs(level.Q)[:own, 0]  # pressures are constant on cells
+    columns = level.V.dofmap.index_map.local_to_global(dofs[:own].ravel().astype(np.int32)).reshape(own, -1)
+    inverse = np.argsort(rows)
+    columns = columns[inverse].astype(PETSc.IntType)
+    count = columns.shape[1]
+    starts = np.arange(0, columns.size + 1, count, dtype=PETSc.IntType)
+    size = (own, None), (level.owned, None)
+    return PETSc.Mat().createAIJ(
+        size, csr=(starts, columns.ravel(), np.full(columns.size, 1.0 / count)), comm=level.comm
+    )

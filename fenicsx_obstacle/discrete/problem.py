@@ -8,9 +8,8 @@ from fenicsx_obstacle.algebra.system import Check
 from fenicsx_obstacle.discrete.admissible import check_admissible
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.duality import cell_means
 from fenicsx_obstacle.discrete.limit_load import HINT, check_limit_load, torn
-from fenicsx_obstacle.discrete.mesh_system import MeshSystem
+from fenicsx_obstacle.discrete.mesh_system import MeshSystem, cell_means
 from fenicsx_obstacle.discrete.solvability import check_support, forces_at_work
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError

@@ -15,7 +15,6 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import given_cells, own_cells
-from fenicsx_obstacle.discrete.duality import at_nodes
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.pairs import SIMPLICES
@@ -83,10 +82,22 @@ def on_nodes(level: Level, functions: Mapping[str, fem.Function]) -> OnNodes | N
         space = function.function_space
         if space == V:
             return function.x.array.real
-        return _means(level, function.x.array[releases.cell_dofs(space)[:own]] @ at_nodes(level).T).real
+        return _means(level, function.x.array[releases.cell_dofs(space)[:own]] @ _at_nodes(level).T).real
 
     fields = {name: nodal(function) for name, function in functions.items()}
     return OnNodes(level, dofs, dofs[:, pieces].reshape(-1, pieces.shape[1]), fields)
+
+
+def _at_nodes(level: Level) -> np.ndarray:
+    """Weights of the dofs of Q_h in a cell in the value at each node of V_h, shape (nodes, dofs of Q_h); rows sum to
+    1."""
+    nodes, points = releases.cell_dofs(level.V).shape[1], releases.cell_dofs(level.Q).shape[1]
+    if level.Q is level.V:
+        return np.eye(nodes)
+    if not level.pair.nodal:
+        return np.ones((nodes, 1))
+    # a vertex lies between the two edges that are not opposite to it
+    return np.vstack([(1 - np.eye(points)) / (points - 1), np.eye(points)])
 
 
 def cut(level: Level, functions: Mapping[str, fem.Function]) -> Cut:
@@ -109,7 +120,7 @@ def cut(level: Level, functions: Mapping[str, fem.Function]) -> Cut:
     start = before(comm, own * len(pieces))
     kept = given_cells(new) - start
     corners, targets = pieces[kept % len(pieces)], releases.cell_dofs(pieced.V)[: len(kept)]
-    table = at_nodes(level)
+    table = _at_nodes(level)
 
     def moved(function: fem.Function) -> fem.Function:
         result, space = fem.Function(pieced.V), function.function_space
