@@ -8,7 +8,7 @@ from dolfinx import fem
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.discrete import levels
 from fenicsx_obstacle.discrete.cells import corners, facet_vertices, sides
-from fenicsx_obstacle.discrete.transfer import downward
+from fenicsx_obstacle.discrete.transfer import downward, ends_of
 from fenicsx_obstacle.parallel import gathered, largest, on_root, total
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, DEMOS, slow_except
@@ -58,10 +58,10 @@ def test_fine_dofs_are_means_of_coarse_dofs(name):
     level = build({**MESHES[name][0], "refine": 2})
     for fine in level.on_meshes.downward[:2]:
         linear = [f.tabulate_dof_coordinates() @ [1.0, 2.0, 3.0] for f in (fine.coarse.V, fine.V)]
-        assert np.allclose(linear[0][fine.ends].mean(axis=1), linear[1][: fine.owned])
+        assert np.allclose(linear[0][ends_of(fine)].mean(axis=1), linear[1][: fine.owned])
         below = linear[0] < 1.2345
         both = next(downward(fine)).all_of(below[: fine.coarse.owned])
-        assert np.array_equal(both, below[fine.ends].all(axis=1)[: fine.owned])
+        assert np.array_equal(both, below[ends_of(fine)].all(axis=1)[: fine.owned])
 
 
 @pytest.mark.parametrize("shape", ["interval", "rectangle", "disk"])

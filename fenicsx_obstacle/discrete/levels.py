@@ -119,21 +119,6 @@ class Level:
             points[:, dofs] += INWARD * (middle - points[:, dofs])
         return points
 
-    @property
-    def ends(self) -> np.ndarray:
-        """For each owned dof the two local dofs of `coarse`, or vertices of the last of `grids`, of which it is the
-        mean.
-
-        The ends of the edge it halves, or twice the vertex it coincides with; shape (owned dofs, 2).
-        """
-        assert self.coarse is not None
-        of_cells = self.grids[-1].cells if self.grids else releases.cell_dofs(self.coarse.V)
-        if self.parents is None or self.places is None:  # P2 over P1 on the same mesh
-            cells = len(releases.cell_dofs(self.V))
-            places = np.tile(np.arange(releases.cell_dofs(self.V).shape[1]), (cells, 1))
-            return parents.ends_of(self.V, of_cells, np.arange(cells), places)
-        return parents.ends_of(self.V, of_cells, self.parents, self.places)
-
     @cached_property
     def on_meshes(self) -> Level:
         """The same level above levels that all have a mesh (first use is collective)."""

@@ -11,42 +11,12 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.cells import cell_facets, corners, edge_lengths, facet_vertices, own_cells
-from fenicsx_obstacle.discrete.shared_dofs import without_cell
-from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import before, on_root, total
+from fenicsx_obstacle.parallel import before, on_root
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES
 
 Name = TypeVar("Name", str, tuple[int, int])
 ToCad: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 STAYS = 1e-12  # of its distance from 0: such a move is round-off
-
-
-def ends_of(V: fem.FunctionSpace, coarse: np.ndarray, parents: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """For each owned dof of V the two local dofs of the coarser level of which it is the mean, shape (owned dofs, 2).
-
-    A vertex of a refined cell is a vertex of its parent or the middle of one of its edges; `places` says which.
-
-    Args:
-        V: P1, or P2 on the same mesh.
-        coarse: Local dofs of the cells of the coarser level, at their vertices.
-        parents: Their row for each owned cell of V.
-        places: Of the dofs of the cell.
-
-    Raises:
-        InputError: If a rank owns a dof that none of its cells has.
-    """
-    owned = V.dofmap.index_map.size_local
-    dofs = releases.cell_dofs(V)[: len(parents)]
-    if total(V.mesh.comm, without_cell(V)[:owned]) > 0:
-        raise InputError("a rank owns nodes of the mesh that none of its cells has: create the submesh of a mesh with "
-                         "ghost_mode=dolfinx.mesh.GhostMode.shared_facet, or take element P1")  # fmt: skip
-    one = np.zeros(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one corner of a cell of each dof
-    one[dofs.ravel()] = np.arange(dofs.size, dtype=np.int32)
-    one = one[:owned]
-    rows = coarse[parents[one // dofs.shape[1]]]
-    dim = V.mesh.topology.dim
-    of = np.array([(i, i) for i in range(dim + 1)] + EDGES[dim])[places.ravel()[one]]
-    return np.take_along_axis(rows, of, axis=1)
 
 
 def inherited(

@@ -8,9 +8,14 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.discrete.shared_dofs import without_cell
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.polynomials import EDGES
 
 
 def downward(level: Level) -> Iterator[Transfer]:
@@ -20,11 +25,35 @@ def downward(level: Level) -> Iterator[Transfer]:
     """
     while level.coarse is not None:
         numbers = [Numbers.of(level.comm, level.coarse.V.dofmap.index_map), *(grid.number for grid in level.grids)]
-        yield _transfer(level.ends, numbers.pop(), level.comm)
+        yield _transfer(ends_of(level), numbers.pop(), level.comm)
         for grid in reversed(level.grids):
             assert grid.ends is not None
             yield _transfer(grid.ends[: grid.number.owned], numbers.pop(), level.comm)
         level = level.coarse
+
+
+def ends_of(level: Level) -> np.ndarray:
+    """For each owned dof the two local dofs of `coarse`, or vertices of the last of `grids`, of which it is the mean:
+    the ends of the edge it halves, or twice the vertex it coincides with; shape (owned dofs, 2) (collective).
+
+    Raises:
+        InputError: If a rank owns a dof that none of its cells has.
+    """
+    V, parents, places = level.V, level.parents, level.places
+    assert level.coarse is not None
+    coarse = level.grids[-1].cells if level.grids else releases.cell_dofs(level.coarse.V)
+    owned, dofs = V.dofmap.index_map.size_local, releases.cell_dofs(V)
+    if parents is None or places is None:  # P2 over P1 on the same mesh
+        parents, places = np.arange(len(dofs)), np.broadcast_to(np.arange(dofs.shape[1]), dofs.shape)
+    dofs = dofs[: len(parents)]
+    if total(V.mesh.comm, without_cell(V)[:owned]) > 0:
+        raise InputError("a rank owns nodes of the mesh that none of its cells has: create the submesh of a mesh with "
+                         "ghost_mode=dolfinx.mesh.GhostMode.shared_facet, or take element P1")  # fmt: skip
+    corner = np.zeros(owned + V.dofmap.index_map.num_ghosts, dtype=np.int32)  # one corner of a cell of each dof
+    corner[dofs.ravel()] = np.arange(dofs.size, dtype=np.int32)
+    corner, dim = corner[:owned], V.mesh.topology.dim
+    ends = np.array([(i, i) for i in range(dim + 1)] + EDGES[dim])[places.ravel()[corner]]
+    return np.take_along_axis(coarse[parents[corner // dofs.shape[1]]], ends, axis=1)
 
 
 def _transfer(ends: np.ndarray, number: Numbers, comm: MPI.Comm) -> Transfer:
