@@ -10,7 +10,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
-from fenicsx_obstacle.discrete.time_discretization import INERTIA
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -167,15 +166,3 @@ def _reached(problem: MeshSystem, obstacle: np.ndarray | float, sums: Sums) -> n
     """Whether a component has an obstacle somewhere (collective)."""
     there = np.isfinite(np.broadcast_to(obstacle, len(problem.level.parts[1]))[: problem.owned])
     return sums((there & ~problem.fixed).astype(float)) > 0
-
-
-def forces_at_work(problem: MeshSystem, load: float) -> float:
-    """The load, or in a step with inertia the sum of |a(u, .) - f| over free dofs at the present u (collective).
-
-    There the residual at u = 0, the load, is no measure of forces: mass over the square of a step outweighs all.
-    """
-    time = problem.model.time
-    if time is None or time.order != INERTIA:
-        return load
-    problem.law.elastic(problem.elastic)
-    return total(problem.level.comm, np.abs(problem.elastic.array_r[~problem.fixed]))
