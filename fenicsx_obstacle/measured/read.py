@@ -144,7 +144,8 @@ def _slowly(text: str, delimiter: str | None, skipped: int, name: str) -> np.nda
 
 def _npy(path: Path, name: str) -> Heights:
     try:
-        found = open_memmap(path, mode="r")  # rejects a head that claims more bytes than there are
+        with np.errstate(over="ignore"):
+            found = open_memmap(path, mode="r")  # rejects a head that claims more bytes than there are
     except (ValueError, EOFError, TypeError, SyntaxError, TokenError, RecursionError) as error:
         raise InputError(f"{name}: not a NumPy file: {one_line(str(error)) or 'broken'}") from None
     return _of_array(found, name)
@@ -167,6 +168,8 @@ def _npz(path: Path, name: str) -> Heights:
         with np.load(path, allow_pickle=False) as arrays:
             held = arrays.files
             found = {key: arrays[key] for key in held if key in ("x", "y", "z") or len(held) == 1}
+            if not all(isinstance(array, np.ndarray) for array in found.values()):
+                raise ValueError(f"{', '.join(found)}: no arrays in NumPy's format")
     except (ValueError, TypeError, SyntaxError, TokenError, RecursionError, EOFError, MemoryError, BadZipFile,
             NotImplementedError, RuntimeError, zlib.error) as error:  # fmt: skip
         raise InputError(f"{name}: not a NumPy archive: {one_line(str(error)) or 'broken'}") from None
