@@ -16,7 +16,7 @@ from dolfinx import fem, la
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import given_cells, own_cells
+from fenicsx_obstacle.discrete.cells import cell_edges, given_cells, own_cells
 from fenicsx_obstacle.discrete.halving import Numbers
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
@@ -87,13 +87,7 @@ def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[Any, np.ndarray, np.nd
     """Marked edges as a vector of DOLFINx, edges of local cells, and the place of each local edge in order of length
     (collective)."""
     dim, own = mesh.topology.dim, own_cells(mesh)
-    mesh.topology.create_entities(1)
-    mesh.topology.create_connectivity(dim, 1)
-    edges = mesh.topology.index_map(1)
-    if dim == 1:
-        halves = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
-    else:
-        halves = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(EDGES[dim]))
+    halves, edges = cell_edges(mesh), mesh.topology.index_map(1)
     order = _by_length(mesh, halves, edges.size_local + edges.num_ghosts)
     marks = la.vector(edges)
     _mark(marks, halves[:own][marked])

@@ -65,6 +65,17 @@ def cell_facets(mesh: dmesh.Mesh) -> np.ndarray:
     return mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, count)
 
 
+def cell_edges(mesh: dmesh.Mesh) -> np.ndarray:
+    """Edges of each local simplex, in DOLFINx's order, shape (cells, edges) (collective on first use)."""
+    dim = mesh.topology.dim
+    mesh.topology.create_entities(1)
+    if dim == 1:
+        edges = mesh.topology.index_map(1)
+        return np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
+    mesh.topology.create_connectivity(dim, 1)
+    return mesh.topology.connectivity(dim, 1).array.reshape(-1, dim * (dim + 1) // 2)
+
+
 def facet_vertices(dim: int) -> list[list[int]]:
     """Vertices of each facet of a simplex: facet i is opposite to vertex i, except that of an interval, vertex i."""
     return [[i] if dim == 1 else [j for j in range(dim + 1) if j != i] for i in range(dim + 1)]

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import given_cells, own_cells
+from fenicsx_obstacle.discrete.cells import cell_edges, given_cells, own_cells
 from fenicsx_obstacle.discrete.shapes import Shape
 from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import before
@@ -142,13 +142,7 @@ def _of_space(V: fem.FunctionSpace) -> tuple[Grid, Edges]:
     """The mesh of V as arrays; local vertices are the dofs (collective)."""
     mesh, dofs = V.mesh, releases.cell_dofs(V)
     comm, dim = mesh.comm, mesh.topology.dim
-    mesh.topology.create_entities(1)
-    mesh.topology.create_connectivity(dim, 1)
-    edges, own = mesh.topology.index_map(1), own_cells(mesh)
-    if dim == 1:
-        of_cells = np.arange(edges.size_local + edges.num_ghosts, dtype=np.int32).reshape(-1, 1)
-    else:
-        of_cells = mesh.topology.connectivity(dim, 1).array.reshape(-1, len(EDGES[dim]))
+    of_cells, edges, own = cell_edges(mesh), mesh.topology.index_map(1), own_cells(mesh)
     ends = np.empty((edges.size_local + edges.num_ghosts, 2), dtype=np.int32)
     for side, corners in enumerate(EDGES[dim]):
         ends[of_cells[:, side]] = dofs[:, corners]
