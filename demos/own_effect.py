@@ -17,8 +17,7 @@
 # - `energy`, its energy as UFL, here the integral of $-\lambda/(1 + u)$;
 # - `affine` and `convex`, from which the package chooses the solver. Here both are false, because the term is not
 #   linear in $u$, and the energy is not convex;
-# - `equation`, `term` and `unit`, which appear in the output of `./obstacle explain`. `unit` is the unit of $\lambda$,
-#   and `left` says whether the term is on the left side of the equation there.
+# - `equation`, `term` and `unit`, which appear in the output of `./obstacle explain`. `unit` is the unit of $\lambda$.
 #
 # `self.value` is what the user gives for $\lambda$: a number, a formula or a Function. `data.cellwise` returns the
 # value of $\lambda$ in each cell. With `least=0.0` negative values are rejected. `data.dI` is the measure of the
@@ -47,7 +46,6 @@ class Electrostatic(Effect):
 
     key = "electrostatic"
     equation = "electrostatic/(1 + u)^2"
-    left = True
     term = "+ int electrostatic/(1 + u)^2 v"
     unit = "force"
     affine = False

@@ -213,7 +213,7 @@ from fenicsx_obstacle.effects.effect import Effect, register
 @register
 class Mine(Effect):
     \"\"\"k u on the left side; unit of k: force per length^3.\"\"\"
-    key = "mine"; equation = "mine u"; left = True; term = "+ int mine u v"; unit = "force/length^3"
+    key = "mine"; equation = "mine u"; term = "+ int mine u v"; unit = "force/length^3"
     def terms(self, u, v, data): return {0} * data.cellwise(self.value, least=0.0) * u * v * data.dx
     def energy(self, u, data): return {0} * data.cellwise(self.value, least=0.0) * u**2 / 2 * data.dx
 """

@@ -58,7 +58,7 @@ class Cloud:
         level, data = answer.level, _data(answer)
         dim, count = level.mesh.topology.dim, own_cells(level.mesh)
         inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
-        elastic = next(effect for effect in answer.scene.effects if effect.elastic)
+        elastic = answer.scene.model.elastic
         if elastic.role == "matrix tension":
             tension = [[data.cellwise(entry) for entry in row] for row in cast(Rows, elastic.value)]
         else:

@@ -403,8 +403,9 @@ class TimeStepper:
         data = self.problem.data
         data.motion.velocity.x.array[:] = self.steps.velocity
         if self._kinetic_energy is None:
-            parts = (effect.energy_of_motion(data.motion.velocity, data) for effect in self.problem.model.effects)
-            self._kinetic_energy = releases.form(sum(part for part in parts if part is not None))
+            densities = [effect.value for effect in self.problem.model.effects if effect.order == INERTIA]
+            parts = (0.5 * data.cellwise(rho, positive=True) * data.motion.velocity**2 * data.dI for rho in densities)
+            self._kinetic_energy = releases.form(sum(parts))
         return total(self.problem.level.comm, fem.assemble_scalar(self._kinetic_energy))
 
     def _keep(self, folder: Path | None) -> None:

@@ -11,6 +11,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import PRESCRIBE
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.fields import OfFunction
+from fenicsx_obstacle.effects.effect import is_support
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 
@@ -34,8 +35,8 @@ def check_admissible(data: Data) -> None:
     """
     comm, source = data.level.comm, data.model.source
     dofs, values = data.fixed
-    holds = any(effect.holds or effect.gives_way for effect in data.model.effects)
-    if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not holds:
+    supported = any(is_support(effect) or effect.role == "soft obstacle" for effect in data.model.effects)
+    if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not supported:
         raise InputError(f"{source}: u is given nowhere, and there is no obstacle: {PRESCRIBE}")
     _check_parts(data)
     given, (lower, upper) = values.x.array[dofs], (data.lower, data.upper)

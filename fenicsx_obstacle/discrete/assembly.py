@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import ufl
@@ -117,13 +117,14 @@ class Forms:
         self._set_contact_measure()
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         self.state: State = FunctionState(self.w, self.reference, self.below, self.above, self.multiplier, self.eps)
-        vectors = [vector for effect in effects if (vector := effect.vector(data)) is not None]
+        given = [effect for effect in effects if effect.role == "point forces"]
+        vectors = [data.at_points(cast(Any, effect.value), f"[effects] {effect.key}") for effect in given]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
         self._u, varied = self._unknown()
         self._a_minus_f = self._terms(self._u)
-        given = [effect.derivative(self._u, self.v, data) for effect in effects]
-        self._slope = sum(form for form in given if form is not None) or ufl.derivative(self._a_minus_f, varied)
+        slopes = [effect.derivative(self._u, self.v, data) for effect in effects]
+        self._slope = sum(form for form in slopes if form is not None) or ufl.derivative(self._a_minus_f, varied)
         self._stiffness = releases.form(self._slope)
         dofs, values = data.fixed
         self.fixed = dofs[dofs < data.level.owned]
@@ -377,7 +378,7 @@ class Nodal(Affine, Forms):
         return super().leans(side, ROUND_OFF if added else share)
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
-        if all(effect.quadratic for effect in self.effects):
+        if all(effect.order == 0 for effect in self.effects):
             value = self._energy_at_zero() + self.work()
         else:
             value = Forms.energy(self, penalised=False, moving=moving)

@@ -194,7 +194,7 @@ class Data(Samples):
     @cached_property
     def radius(self) -> Cellwise:
         """Distance from the axis, positive in each cell (first use is collective)."""
-        key = next(effect.key for effect in self.model.effects if effect.radial)
+        key = next(effect.key for effect in self.model.effects if effect.role == "radial weight")
         if self.level.mesh.geometry.dim > 2:
             raise InputError(f"{self.model.source}: [effects] {key} is for intervals and plane meshes")
         return self.cellwise(_Radius(f"{self.model.source}: [effects] {key}, radius"), positive=True)

@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.time_discretization import NO_STEP
+from fenicsx_obstacle.discrete.time_discretization import NO_STEP, RATE
 from fenicsx_obstacle.effects.field import Field, Names, TimeBounds
 from fenicsx_obstacle.parallel import first_given, largest, smallest
 
@@ -150,7 +150,7 @@ class DataWithinSteps:
         """
         if one.kind in UNIT_OF_U:
             return self.tolerance
-        rates = [effect.value for effect in self.data.model.effects if effect.key == "rate"]
+        rates = [effect.value for effect in self.data.model.effects if effect.order == RATE]
         if one.kind == LOAD and rates:
             return self.tolerance * smallest(self.data.level.comm, self.data.values(rates[0], positive=True)) / dt
         self._remember(one, highest)

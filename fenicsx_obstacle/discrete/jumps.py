@@ -35,7 +35,7 @@ def _jumps(data: Data) -> Iterator[tuple[Field, np.ndarray]]:
     """Each datum that may jump, and whether it does in each owned cell (collective)."""
     level, model = data.level, data.model
     count = own_cells(level.mesh)
-    for field in fields_in([model.lower, model.upper, *(effect.inputs for effect in model.effects)]):
+    for field in fields_in([model.lower, model.upper, *map(vars, model.effects)]):
         for name, part in (field.parts or {"": field}).items():
             cells = level.groups[name] if field.parts is not None else np.arange(count)
             if not (part.uniform or part.continuous):

@@ -19,6 +19,7 @@ from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 HINT = "; no solution exists where the load is beyond the limit load of the film"
+LOADS = ("load", "part load", "point forces", "radial weight")  # roles of effects with which a film has a limit load
 FINE = 8  # cells across the domain from which a slope in one cell is no slope of the film
 ROUNDOFF_MARGIN = 1e-9  # of the force: what a load equal to its limit may be beyond it by round-off
 
@@ -35,17 +36,16 @@ def check_limit_load(problem: MeshSystem) -> None:
     Raises:
         InputError: Since no solution exists.
     """
-    effects, data, level = problem.model.effects, problem.data, problem.level
-    bounded = [effect for effect in effects if effect.film]
-    others = [e for e in effects if e.holds or e.gives_way or not e.symmetric or e.push(data) is None]
-    if not bounded or others:
+    film, data, level = problem.model.elastic, problem.data, problem.level
+    others = [effect for effect in problem.model.effects if effect is not film and effect.role not in LOADS]
+    if film.role != "film" or others:
         return
     comm, at_rest = level.comm, problem.elastic.array_r
     load, load_inside = -total(comm, at_rest), -total(comm, at_rest[~problem.fixed])
     opposed = problem.below if load < 0 else problem.above
     if load == 0 or opposed is not None or total(comm, np.count_nonzero(problem.fixed)) == 0:
         return
-    s = data.cellwise(bounded[0].value, positive=True)
+    s = data.cellwise(film.value, positive=True)
     conditions = [(load, _along_edges(data, s))]
     if level.pair.degree == 1 and releases.cell_name(level.mesh) in SIMPLICES:
         conditions.append((load_inside, _around_free_dofs(data, s)))
@@ -53,7 +53,7 @@ def check_limit_load(problem: MeshSystem) -> None:
         if abs(force) > most * (1 + ROUNDOFF_MARGIN):
             raise InputError(
                 f"{problem.model.source}: no solution exists: the load is {abs(force):.6g} in all, and "
-                f"{bounded[0].key} carries at most {most:.6g} to where u is given; take a smaller load"
+                f"{film.key} carries at most {most:.6g} to where u is given; take a smaller load"
             )
 
 

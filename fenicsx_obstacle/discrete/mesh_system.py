@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from dolfinx import fem
@@ -18,6 +18,8 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.transfer import downward
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Effect, WithTension, is_support
 from fenicsx_obstacle.parallel import largest, smallest
 
 
@@ -48,13 +50,21 @@ class MeshSystem(System):
         return self.level.h
 
     def heights(self) -> list[np.ndarray]:
-        return [np.atleast_1d(heights) for effect in self.model.effects for heights in effect.heights(self.data)]
+        at_rest = [np.zeros(1)] if any(is_support(effect) for effect in self.model.effects) else []
+        return at_rest + [values for values in self.soft_obstacles() if values is not None]
+
+    def soft_obstacles(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Local nodal values of the lower and the upper soft obstacle; None where there is none."""
+        soft: Any = next((effect for effect in self.model.effects if effect.role == "soft obstacle"), None)
+        sides = (None, None) if soft is None else (soft.lower, soft.upper)
+        lower, upper = (None if side is None else self.data.height(side).x.array for side in sides)
+        return lower, upper
 
     def pushes(self) -> tuple[float, float] | None:
-        found = [push for effect in self.model.effects if (push := effect.push(self.data)) is not None]
-        if not found or len(found) < len(self.model.effects):
+        found = [push for effect in self.model.effects if (push := _push(effect, self.data)) is not None]
+        if len(found) < len(self.model.effects):
             return None
-        return (sum(smallest(self.comm, push[0]) for push in found), sum(largest(self.comm, push[1]) for push in found))
+        return sum(smallest(self.comm, push) for push in found), sum(largest(self.comm, push) for push in found)
 
     def tension(self) -> float | None:
         found = self.model.elastic.stiffness(self.data)
@@ -133,3 +143,21 @@ def cell_means(level: Level) -> PETSc.Mat:
     return PETSc.Mat().createAIJ(
         size, csr=(starts, columns.ravel(), np.full(columns.size, 1.0 / count)), comm=level.comm
     )
+
+
+def _push(effect: Effect, data: Data) -> np.ndarray | None:
+    """Local values of its part of f, and 0, for the maximum principle; None if there is no such principle.
+
+    0 alone says that its part of a(., .) lets constants be compared with solutions: it contains gradients of u, or
+    draws u towards the `heights`.
+    """
+    values: Any = ()
+    if effect.role == "load":
+        values = data.values(effect.value)
+    elif effect.role == "part load" and isinstance(effect, OnPart):
+        values = data.on_part(effect.value, effect.part).x.array
+    elif effect.role == "point forces":
+        values = [force for _, force in cast(Any, effect.value)]
+    elif not effect.role and not isinstance(effect, WithTension):
+        return None
+    return np.append(values, 0.0)

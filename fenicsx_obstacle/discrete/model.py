@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
-from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Effect, Elastic
 from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError
 
@@ -65,14 +66,14 @@ class Model:
         Raises:
             InputError: If not exactly one effect is elastic, or obstacles are in the domain and on its boundary.
         """
-        if (count := sum(effect.elastic for effect in self.effects)) != 1:
+        if (count := sum(isinstance(effect, Elastic) for effect in self.effects)) != 1:
             raise InputError(f"{self.source}: exactly one effect must be a stiffness, such as tension; {count} do")
         if self.thin and (self.lower is not None or self.upper is not None):
             raise InputError(f"{self.source}: obstacles in the domain and on its boundary: these exclude each other")
 
     def acts(self, number: int) -> list[str]:
         """Keys of the effects that act on a part of the boundary, counted from 0."""
-        return [effect.key for effect in self.effects if getattr(effect, "part", None) == number]
+        return [effect.key for effect in self.effects if isinstance(effect, OnPart) and effect.part == number]
 
     @property
     def thin(self) -> bool:
@@ -82,7 +83,7 @@ class Model:
     @property
     def data(self) -> list[Field]:
         """All data, those of materials one by one."""
-        given = [self.lower, self.upper, *(effect.inputs for effect in self.effects)]
+        given = [self.lower, self.upper, *map(vars, self.effects)]
         given += [
             getattr(part, key) for part in self.boundary for key in ("value", "where", "lower", "upper", "components")
         ]
@@ -91,9 +92,9 @@ class Model:
         return [field for part in found for field in part]
 
     @property
-    def elastic(self) -> Effect:
+    def elastic(self) -> Elastic:
         """The elastic effect, which is the main part of a(u, v)."""
-        return next(effect for effect in self.effects if effect.elastic)
+        return next(effect for effect in self.effects if isinstance(effect, Elastic))
 
     @property
     def vector_valued(self) -> bool:
@@ -103,4 +104,4 @@ class Model:
     @property
     def radial(self) -> bool:
         """Whether all integrals have the weight x."""
-        return any(effect.radial for effect in self.effects)
+        return any(effect.role == "radial weight" for effect in self.effects)

@@ -12,6 +12,7 @@ from fenicsx_obstacle.discrete.limit_load import HINT, check_limit_load, torn
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem, cell_means
 from fenicsx_obstacle.discrete.solvability import check_support
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA
+from fenicsx_obstacle.effects.effect import of_model_problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 
@@ -60,7 +61,7 @@ class Problem(MeshSystem):
         if self.data.thin and not pair.at_vertices:
             raise InputError(f"{model.source}: obstacles on the boundary are for elements P1 and Q1")
         if pair.own_weights:
-            others = [effect.key for effect in model.effects if not effect.in_model_problem]
+            others = [effect.key for effect in model.effects if not of_model_problem(effect)]
             others += ["[time]"] * (model.time is not None)
             if others:
                 message = f"element {pair.name} is for tension and load, not for {others[0]}"
@@ -70,7 +71,7 @@ class Problem(MeshSystem):
     def _checks(self) -> tuple[str, tuple[Check, ...]]:
         """A hint, and the checks that only some effects need."""
         hint, checks = "", list[Check]()
-        if any(effect.film for effect in self.model.effects):
+        if any(effect.role == "film" for effect in self.model.effects):
             hint = HINT
             checks.append(torn)
         if any(effect.role == "drift" for effect in self.model.effects):

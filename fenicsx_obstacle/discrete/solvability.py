@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
+from fenicsx_obstacle.effects.effect import is_support
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -48,7 +49,7 @@ def check_support(problem: MeshSystem) -> None:
         return
     data = problem.data
     hard = tuple(none if side is None else side.x.array for side, none in ((data.lower, -np.inf), (data.upper, np.inf)))
-    soft = _soft_obstacles(problem)
+    soft = problem.soft_obstacles()
     rest, shift = _between(comm, soft)
     at_rest = problem.law.forces_at(rest)
     scale = sums(_diagonal(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
@@ -83,7 +84,7 @@ def check_support(problem: MeshSystem) -> None:
             # beside an obstacle on a part of the boundary: at its lowest or highest place
             start[here] = np.nextafter(extreme, sign * np.inf)
             start[known] = np.nextafter(u_values[known], sign * np.inf)
-    if any(effect.holds for effect in problem.model.effects):
+    if any(is_support(effect) for effect in problem.model.effects):
         # a support below round-off may still hold u before it reaches an obstacle that is far off
         far = np.zeros(count)
         np.fmax.at(far, component, np.abs(start - rest))
@@ -99,12 +100,6 @@ def check_support(problem: MeshSystem) -> None:
     balanced = by_contact & ~borne if problem.symmetric else by_contact & (sums(np.abs(moved)) <= scale * abs(shift))
     problem.start, problem.floating = start[: level.owned], bool(alone.any())
     problem.borne, problem.balanced = (flags if flags.any() else None for flags in (borne, balanced))
-
-
-def _soft_obstacles(problem: MeshSystem) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Local nodal values of the lower and the upper obstacle that are soft (collective on first use)."""
-    found = (effect.sides(problem.data) for effect in problem.model.effects if effect.gives_way)
-    return next(found, (None, None))
 
 
 def _between(comm: MPI.Comm, soft: tuple[np.ndarray | None, np.ndarray | None]) -> tuple[float, float]:
@@ -143,7 +138,7 @@ def _refuse(
             f"{source}{where}, and the load, {net[one] + 0.0:.3g} in all, does not press against the {side} obstacle: "
             f"{why}; {PRESCRIBE}"
         )
-    if any(effect.holds or effect.gives_way for effect in problem.model.effects):
+    if any(is_support(effect) or effect.role == "soft obstacle" for effect in problem.model.effects):
         raise InputError(
             f"{source}{where}, and the stiffness of its supports, {max(held[one], 0.0):.3g} in all, is below "
             "the round-off of the "

@@ -1,33 +1,34 @@
 """The protocol of effects, and their register.
 
-An effect is one class: its data, and its part of the residual. Residual, energy and the choice of the solver are folds
-over the effects of a model; what no scene names is not even imported.
+An effect is one class: its data, its part of the residual and of the energy, and what solvers must know of them.
+Residual, energy and the choice of the solver are folds over the effects of a model; what no scene names is not even
+imported.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import ufl
 
-from fenicsx_obstacle.effects.field import Field, fields_in
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 
-_FOLDERS = {"effects": "domain", "boundary": "boundary"}  # of this package, by the tables that name their effects
-
-
-# with the `value` of the effect: tension int mu grad u . grad v, its matrix int (A grad u) . grad v, load -int f v,
-# reaction int k u v with k >= 0, drift int (b . grad u) v; load and reaction of a part of the boundary are integrals
-# over it; point forces -sum F v(x)
-Role = Literal["", "tension", "matrix tension", "load", "reaction", "drift", "part load", "part reaction",
-               "point forces"]  # fmt: skip
+# Which term with the `value` of the effect it is, for what bounds, checks and solvers know of these terms:
+# tension int mu grad u . grad v, its matrix int (A grad u) . grad v, film int mu grad u . grad v/sqrt(1 + |grad u|^2),
+# load -int f v, reaction int k u v with k >= 0, drift int (b . grad u) v; load and reaction of a part of the boundary
+# are integrals over it; soft obstacle int k ((u - upper)^+ - (lower - u)^+) v; point forces -sum F v(x), which are no
+# form; radial weight: the factor x of all integrals
+Role = Literal["", "tension", "matrix tension", "film", "load", "reaction", "drift", "part load", "part reaction",
+               "soft obstacle", "point forces", "radial weight"]  # fmt: skip
+_UPWINDED = ("load", "reaction", "drift")  # terms whose test functions are upwinded where there is drift
 
 
 class Reader(Protocol):
@@ -36,6 +37,10 @@ class Reader(Protocol):
     @property
     def source(self) -> str:
         """Where the scene comes from, for messages."""
+
+    @property
+    def of_body(self) -> bool:
+        """Whether u is the displacement of an elastic body."""
 
     def field(self, value: Any, place: str) -> Field:
         """A number or a formula."""
@@ -46,9 +51,13 @@ class Reader(Protocol):
     def number(self, value: float | str, place: str) -> float:
         """One finite number."""
 
-    @property
-    def of_body(self) -> bool:
-        """Whether u is the displacement of an elastic body."""
+    def components(self, raw: Any, place: str, counts: Sequence[int] = ..., wanted: str = ...) -> tuple[Field, ...]:
+        """The components of a vector."""
+
+    def table(
+        self, raw: Any, place: str, needed: Sequence[str], optional: Sequence[str] = ..., one_of: Sequence[str] = ...
+    ) -> dict[str, Any]:
+        """A table with checked keys."""
 
 
 class Sampler(Protocol):
@@ -78,9 +87,6 @@ class Sampler(Protocol):
 
     def on_part(self, value: Field, part: int, *, least: float | None = None) -> Any:
         """Nodal Function with the values of a datum on a part of the boundary, counted from 0."""
-
-    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
-        """Forces at points as forces at owned nodes."""
 
     def height(self, value: Field) -> Any:
         """Nodal Function with the values of a datum."""
@@ -116,29 +122,40 @@ class Effect:
     value: Field
 
     key: ClassVar[str] = ""  # its name in [effects], or in [[boundary]]
-    table: ClassVar[str] = "effects"  # or "boundary"
     equation: ClassVar[str] = ""  # how it enters the equation, for `explain`
-    left: ClassVar[bool] = False  # on the left side there
-    term: ClassVar[str] = ""  # its part of a(u, v) - f(v), for `explain`
+    term: ClassVar[str] = ""  # its part of a(u, v) - f(v), for `explain`; with a minus it is on the right side there
     unit: ClassVar[str] = ""
-    role: ClassVar[Role] = ""  # which of the terms it is that error bounds and checks know
-    holds: ClassVar[bool] = False  # keeps u from floating away where it is given nowhere
-    note: ClassVar[str] = ""  # what `explain` adds
-    upwinded: ClassVar[bool] = False  # its test functions are upwinded where there is drift
-    radial: ClassVar[bool] = False  # gives all integrals the weight x
-    elastic: ClassVar[bool] = False  # gives the form a(u, v) its stiffness
-    vector_valued: ClassVar[bool | None] = False  # whether u is a displacement; None: it does not matter
+    role: ClassVar[Role] = ""
     order: ClassVar[int] = 0  # of its derivative in time
     affine: ClassVar[bool] = True  # the term is linear in u plus a constant
     symmetric: ClassVar[bool] = True  # a(u, v) = a(v, u)
     convex: ClassVar[bool] = True  # it has a convex energy
-    film: ClassVar[bool] = False  # its force per length is below its value, whatever the slope
-    gives_way: ClassVar[bool] = False  # an obstacle that pushes back in proportion to the distance beyond it
-    pointwise: ClassVar[bool] = (
-        False  # its force at a node depends on u at this node only, and does not decrease with u
-    )
-    no_bound: ClassVar[str] = ""  # why there is no bound of the error in energy with it
-    no_bound_from: ClassVar[int] = 1  # dimension of the meshes for which there is none
+    vector_valued: ClassVar[bool | None] = False  # whether u is a displacement; None: it does not matter
+
+    def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
+        """Its part of the residual a(u, v) - f(v), as far as it is a form."""
+        return None
+
+    def derivative(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
+        """The derivative of `terms` with respect to u, a bilinear form, if it is not computed by UFL."""
+        return None
+
+    def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
+        """The energy whose derivative is `terms`, or None."""
+        return None
+
+    def conflict(self, effects: Sequence[Effect]) -> str | None:
+        """A message if it cannot be combined with the other effects of a scene; otherwise None."""
+        return None
+
+    def __str__(self) -> str:
+        """Its data as the user wrote them."""
+        return _text(self.value)
+
+
+@runtime_checkable
+class OwnEntry(Protocol):
+    """An effect whose entry in a scene is not, or not always, a number, a formula or {material = value}."""
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
@@ -153,82 +170,10 @@ class Effect:
         Raises:
             InputError: If it is not what the effect takes.
         """
-        return cls(reader.value(raw, place), **more)
 
-    def conflict(self, effects: Sequence[Effect]) -> str | None:
-        """A message if it cannot be combined with the other effects of a scene; otherwise None."""
-        return None
 
-    @property
-    def text(self) -> str:
-        """Its data as the user wrote them."""
-        return _text(self.value)
-
-    @property
-    def inputs(self) -> list[Field]:
-        """All fields among its data."""
-        return fields_in(getattr(self, one.name) for one in fields(self))
-
-    @property
-    def integrals(self) -> int:
-        """Number of integrals of its part of the residual."""
-        return int(type(self).terms is not Effect.terms)
-
-    @property
-    def in_model_problem(self) -> bool:
-        """Whether it is a term of (2.2), -div(mu grad u) = f: a linear tension mu (or a matrix), or a load per area
-        f."""
-        return (self.elastic and self.affine) or self.role == "load"
-
-    def outputs(self, data: Sampler) -> dict[str, float]:
-        """Output quantities of a result that belong to it, by their names there (collective)."""
-        return {}
-
-    def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
-        """Its part of the residual a(u, v) - f(v), as far as it is a form."""
-        return None
-
-    def derivative(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
-        """The derivative of `terms` with respect to u, a bilinear form, if it is not computed by UFL."""
-        return None
-
-    def heights(self, data: Sampler) -> list[Any]:
-        """Local nodal values of u at which its part of a(u, v) is zero; empty if it is zero for all constants."""
-        return [0.0] if self.holds else []
-
-    def sides(self, data: Sampler) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Local nodal values of the lower and the upper soft obstacle, or None."""
-        return None, None
-
-    def push(self, data: Sampler) -> tuple[float, float] | None:
-        """Smallest and largest local value of its part of f, for the maximum principle; None if there is no such
-        principle.
-
-        (0, 0) says that its part of a(., .) lets constants be compared with solutions: it contains gradients of u, or
-        draws u towards `heights`.
-        """
-        return None
-
-    def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
-        """The energy whose derivative is `terms`, or None."""
-        return None
-
-    @property
-    def quadratic(self) -> bool:
-        """Whether matrix and load of a problem at rest determine its energy, up to that of u = 0."""
-        return self.affine and self.order == 0
-
-    def vector(self, data: Sampler) -> np.ndarray | None:
-        """Its part of f(v) that is not a form: forces at owned nodes (collective)."""
-        return None
-
-    def energy_of_motion(self, velocity: Any, data: Sampler) -> ufl.Form | None:
-        """Its part of the energy of motion, where u_t is the velocity."""
-        return None
-
-    def upwinding(self, v: Any, elastic: Effect, data: Sampler) -> Any:
-        """The term added to upwinded test functions (SUPG), or None."""
-        return None
+class Elastic(Effect):
+    """An effect that is the stiffness, the main part of a(u, v): each model has exactly one."""
 
     def tension_at(self, u: ufl.core.expr.Expr, data: Sampler) -> Any:
         """Its tension where the solution is u, a number or a matrix, so that its part of a(u, v) is the integral of
@@ -236,39 +181,20 @@ class Effect:
         return None
 
     def stiffness(self, data: Sampler) -> np.ndarray | None:
-        """Its tension in local cells where it is elastic, for the scale of eps."""
+        """Its tension in local cells where it is a number or has a largest eigenvalue, for the scale of eps."""
         return None
 
 
-@dataclass(frozen=True)
-class WithTension(Effect):
+class WithTension(Elastic):
     """An elastic effect of a scalar u with a tension that is a number, and may depend on |grad u|."""
 
-    left = True
     unit = "force/length"
-    elastic = True
-
-    def push(self, data: Sampler) -> tuple[float, float] | None:
-        return 0.0, 0.0
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return self.tension_at(u, data) * ufl.inner(ufl.grad(u), ufl.grad(v)) * data.dx
 
     def stiffness(self, data: Sampler) -> np.ndarray:
         return data.values(self.value, positive=True)
-
-
-@dataclass(frozen=True)
-class OfComponents(Effect):
-    """An effect on elastic bodies whose datum is a vector.
-
-    Attributes:
-        value: Its components.
-    """
-
-    value: tuple[Field, ...]  # type: ignore[assignment]
-
-    vector_valued = True
 
 
 def _text(value: Any) -> str:
@@ -278,62 +204,41 @@ def _text(value: Any) -> str:
 
 def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Form:
     """a(u, v) - f(v), the sum over the effects."""
-    elastic = next((effect for effect in effects if effect.elastic), None)
-    upwinded_test = v
-    for effect in effects:
-        if elastic is not None and (added := effect.upwinding(v, elastic, data)) is not None:
-            upwinded_test = upwinded_test + added
-    forms = (effect.terms(u, upwinded_test if effect.upwinded else v, data) for effect in effects)
+    drift = next((effect for effect in effects if effect.role == "drift"), None)
+    elastic = next((effect for effect in effects if isinstance(effect, Elastic)), None)
+    upwinded = v if drift is None or elastic is None else _upwinded(v, drift, elastic, data)
+    forms = (effect.terms(u, upwinded if effect.role in _UPWINDED else v, data) for effect in effects)
     return sum(form for form in forms if form is not None)
 
 
-def keys_of(
-    raw: Any,
-    place: str,
-    reader: Reader,
-    needed: Sequence[str],
-    optional: Sequence[str] = (),
-    one_of: Sequence[str] = (),
-) -> dict[str, Any]:
-    """A table of the scene whose keys are checked.
-
-    Raises:
-        InputError: If it is no table, a key is unknown or a needed one is missing, or all of `one_of`.
-    """
-    wanted = ", ".join((*needed, *optional))
-    if not isinstance(raw, dict):
-        raise InputError(f"{reader.source}: {place} = {raw!r}: expected a table of {wanted}")
-    for key in raw:
-        if key not in (*needed, *optional):
-            raise InputError(f"{reader.source}: {place} unknown key '{key}' (known: {wanted})")
-    for key in needed:
-        if key not in raw:
-            raise InputError(f"{reader.source}: {place}: the key '{key}' is missing")
-    if one_of and not set(one_of) & set(raw):
-        raise InputError(f"{reader.source}: {place}: needs {' or '.join(one_of)}")
-    return raw
+def _upwinded(v: Any, drift: Effect, elastic: Elastic, data: Sampler) -> Any:
+    """Test functions v + tau b . grad v with tau = max(0, |b| h/2 - tension)/|b|^2 (SUPG); v where b = 0."""
+    b, tension = data.field(drift.value), elastic.tension_at(None, data)  # type: ignore[arg-type]
+    squared = ufl.inner(b, b)
+    along = ufl.inner(tension * b, b) / squared if tension.ufl_shape else tension
+    excess = ufl.max_value(ufl.sqrt(squared) * data.cell_size / 2 - along, 0.0)
+    return v + ufl.conditional(ufl.gt(squared, 0.0), excess / squared, 0.0) * ufl.inner(b, ufl.grad(v))
 
 
-def components_of(raw: Any, place: str, reader: Reader) -> tuple[Field, ...]:
-    """The components of a vector in a scene.
+def is_support(effect: Effect) -> bool:
+    """Whether it keeps u from floating away where u is given nowhere: it draws u towards 0, or to where it was."""
+    return effect.role in ("reaction", "part reaction") or effect.order > 0
 
-    Raises:
-        InputError: If it is not a list of two or three numbers or formulas.
-    """
-    if not isinstance(raw, list | tuple) or len(raw) not in (2, 3) or any(isinstance(one, list | dict) for one in raw):
-        raise InputError(f"{reader.source}: {place} = {raw!r}: expected a list of two or three numbers or formulas")
-    return tuple(reader.field(one, f"{place}[{k}]") for k, one in enumerate(raw))
+
+def of_model_problem(effect: Effect) -> bool:
+    """Whether it is a term of (2.2), -div(mu grad u) = f: a linear tension mu (or a matrix), or a load per area f."""
+    return (isinstance(effect, Elastic) and effect.affine) or effect.role == "load"
 
 
 _register: dict[str, type[Effect]] = {}
 
 
 @cache
-def _modules(table: str) -> dict[str, str]:
-    """Module of each effect of this package that a table can name, by its key, which is the file's name."""
-    folder = _FOLDERS[table]
-    files = iter_modules([str(Path(__file__).parent / folder)])
-    return {file.name: f"{__package__}.{folder}.{file.name}" for file in files}
+def _modules() -> dict[str, str]:
+    """Module of each effect of this package, by its key, which is the file's name."""
+    folders = ("domain", "boundary")
+    files = ((folder, file.name) for folder in folders for file in iter_modules([str(Path(__file__).parent / folder)]))
+    return {name: f"{__package__}.{folder}.{name}" for folder, name in files}
 
 
 def register(effect: type[Effect]) -> type[Effect]:
@@ -342,20 +247,20 @@ def register(effect: type[Effect]) -> type[Effect]:
     Raises:
         InputError: If it has none, or one of this package's own.
     """
-    own = {**_modules("effects"), **_modules("boundary")}
-    if not effect.key.isidentifier() or effect.__module__ != own.get(effect.key, effect.__module__):
+    if not effect.key.isidentifier() or effect.__module__ != _modules().get(effect.key, effect.__module__):
         raise InputError(f"effect {effect.__name__}: key = {effect.key!r} is taken, or no name")
     _register[effect.key] = effect
     return effect
 
 
 def known(table: str = "effects") -> set[str]:
-    """The keys of all effects that a table can name, imported or not."""
-    return {*_modules(table), *(key for key, effect in _register.items() if effect.table == table)}
+    """The keys of all effects that [effects] or [[boundary]] can name, imported or not."""
+    of_parts = {key for key, module in _modules().items() if ".boundary." in module}
+    return of_parts if table == "boundary" else {*_modules(), *_register} - of_parts
 
 
 def find(key: str) -> type[Effect]:
     """The effect of a known key; its module is imported now."""
     if key not in _register:
-        import_module({**_modules("effects"), **_modules("boundary")}[key])
+        import_module(_modules()[key])
     return _register[key]

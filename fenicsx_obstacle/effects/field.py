@@ -258,13 +258,15 @@ class ByCells(Field):
 
 
 def fields_in(data: Iterable[Any]) -> list[Field]:
-    """The fields among some values and within tuples and lists of them."""
+    """The fields among some values and within tuples, lists and dicts of them."""
     found: list[Field] = []
     for part in data:
         if isinstance(part, Field):
             found.append(part)
         elif isinstance(part, tuple | list):
             found += fields_in(part)
+        elif isinstance(part, dict):
+            found += fields_in(part.values())
     return found
 
 

@@ -59,7 +59,7 @@ def load_of(data: Data) -> Field | None:
 
 def other_effects(data: Data) -> list[Effect]:
     """The effects besides that tension and load, and the weight of integrals."""
-    effects = [effect for effect in data.model.effects if not effect.radial]
+    effects = [effect for effect in data.model.effects if effect.role != "radial weight"]
     load = next((effect for effect in effects if effect.role == "load"), None)
     return [effect for effect in effects if effect is not data.model.elastic and effect is not load]
 

@@ -138,7 +138,7 @@ class EquilibrationP1:
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
         self._terms: Any = None
-        if not any(effect.integrals for effect in effects):
+        if not effects:
             return
         broken = releases.functionspace(self.level.mesh, "DG", 1)
         self._u, v = fem.Function(self.level.V), ufl.TestFunction(broken)

@@ -46,6 +46,7 @@ def record_of(
         refine: How often the mesh of a file was refined.
     """
     level, contact, eps = problem.level, state.contact, outcome.eps
+    peclet = {} if problem.drift is None else {"peclet": problem.drift.number}
     figures: dict[str, Any] = {
         "scene": name, "title": title, "method": method,
         **({"m_matrix": problem.m_matrix} if method == "successive" else {}),
@@ -53,7 +54,7 @@ def record_of(
         "cells": None if level.shape is None else level.shape.cells[0], "refine": refine,
         "cells_total": level.cells, "dofs": level.dofs,
         "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
-        "h": level.h, "h_max": level.h_max, "eps": eps, **_of_effects(problem), "energy": state.energy,
+        "h": level.h, "h_max": level.h_max, "eps": eps, **peclet, "energy": state.energy,
         "penetration": contact.penetration,
         "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
         "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
@@ -93,12 +94,4 @@ def _too_coarse(problem: Problem) -> list[str]:
         if isinstance(datum, MeasuredField) and h > COARSE * datum.spacing:
             times = f"{h / datum.spacing:.2g} times as far apart as the data, {h:.3g} for {datum.spacing:.3g}"
             found.append(f"nodes are {times}: data between them are not resolved ({datum.source})")
-    return found
-
-
-def _of_effects(problem: Problem) -> dict[str, float]:
-    """Output quantities of the effects (collective)."""
-    found = {} if problem.drift is None else {"peclet": problem.drift.number}
-    for effect in problem.model.effects:
-        found |= effect.outputs(problem.data)
     return found

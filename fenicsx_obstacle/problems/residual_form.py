@@ -18,14 +18,14 @@ from ufl.classes import Abs, Condition, MaxValue, MinValue
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.effect import Elastic
 
 _NOT_SMOOTH = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
 ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualForm(Effect):
+class ResidualForm(Elastic):
     """The residual F(u; v) of the caller as an effect.
 
     Attributes:
@@ -42,7 +42,6 @@ class ResidualForm(Effect):
     J: ufl.Form | None = None
 
     key = "F"
-    elastic = True
 
     @cached_property
     def affine(self) -> bool:  # type: ignore[override]
@@ -53,10 +52,6 @@ class ResidualForm(Effect):
                 if isinstance(node, _NOT_SMOOTH) and self.u in extract_coefficients(node):
                     return False
         return self.u not in expanded(self.slope).coefficients()
-
-    @property
-    def quadratic(self) -> bool:
-        return self.affine and self.functional is None  # a given one may have another quadrature
 
     @property
     def slope(self) -> ufl.Form:
@@ -93,9 +88,6 @@ class ResidualForm(Effect):
         if self.J is None or self.affine:
             return None
         return ufl.replace(self.J, {self.u: u, self.J.arguments()[0]: v})
-
-    def u_values(self, data: Any) -> list[Any]:
-        return [0.0]
 
     def energy(self, u: Any, data: Any) -> ufl.Form | None:
         if self.functional is not None:

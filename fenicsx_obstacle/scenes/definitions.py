@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import keyword
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fenicsx_obstacle.effects.effect import find
+from fenicsx_obstacle.effects.effect import Elastic, find
 from fenicsx_obstacle.effects.field import ByCells, Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
@@ -84,7 +84,7 @@ class Definitions(Vocabulary):
     @property
     def of_body(self) -> bool:
         """Whether u is the displacement of an elastic body."""
-        return any(find(key).elastic and bool(find(key).vector_valued) for key in self.tables.effects)
+        return any(issubclass(find(key), Elastic) and bool(find(key).vector_valued) for key in self.tables.effects)
 
     def use_cells(self, cell: str) -> None:
         """Take the default element for the cells of a file, once these are known, where [solve] names no element."""
@@ -133,6 +133,50 @@ class Definitions(Vocabulary):
                 raise InputError(f"{self.source}: {place}.{name} = {part!r}: expected a number or a formula")
         return ByCells({name: self.field(part, f"{place}.{name}") for name, part in value.items()},
                        f"{self.source}: {place}")  # fmt: skip
+
+    def components(
+        self,
+        raw: Any,
+        place: str,
+        counts: Sequence[int] = (2, 3),
+        wanted: str = "a list of two or three numbers or formulas",
+    ) -> tuple[Field, ...]:
+        """The components of a vector.
+
+        Args:
+            raw: As it stands in the scene.
+            place: Where, for messages.
+            counts: How many components there may be.
+            wanted: The same, in words.
+
+        Raises:
+            InputError: If it is not a list of so many numbers or formulas.
+        """
+        known = isinstance(raw, list | tuple) and len(raw) in counts
+        if not known or any(isinstance(one, list | dict) for one in raw):
+            raise InputError(f"{self.source}: {place} = {raw!r}: expected {wanted}")
+        return tuple(self.field(one, f"{place}[{k}]") for k, one in enumerate(raw))
+
+    def table(
+        self, raw: Any, place: str, needed: Sequence[str], optional: Sequence[str] = (), one_of: Sequence[str] = ()
+    ) -> dict[str, Any]:
+        """A table of several data, with checked keys.
+
+        Raises:
+            InputError: If it is no table, a key is unknown or a needed one is missing, or all of `one_of`.
+        """
+        wanted = ", ".join((*needed, *optional))
+        if not isinstance(raw, dict):
+            raise InputError(f"{self.source}: {place} = {raw!r}: expected a table of {wanted}")
+        for key in raw:
+            if key not in (*needed, *optional):
+                raise InputError(f"{self.source}: {place} unknown key '{key}' (known: {wanted})")
+        for key in needed:
+            if key not in raw:
+                raise InputError(f"{self.source}: {place}: the key '{key}' is missing")
+        if one_of and not set(one_of) & set(raw):
+            raise InputError(f"{self.source}: {place}: needs {' or '.join(one_of)}")
+        return raw
 
 
 def _definitions(typed: Tables, source: str) -> dict[str, Formula]:

@@ -7,7 +7,8 @@ from typing import Any
 
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
-from fenicsx_obstacle.effects.effect import Effect, find, known
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Effect, Elastic, OwnEntry, find, known
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import MeasuredField
@@ -34,33 +35,41 @@ def effects_of(given: Definitions) -> tuple[Effect, ...]:
     for key in given.tables.effects:
         if key not in keys:
             raise InputError(f"{source}: [effects] unknown effect '{key}'" + nearest(key, keys))
-    elastic = [key for key in given.tables.effects if find(key).elastic]
+    elastic = [key for key in given.tables.effects if issubclass(find(key), Elastic)]
     if not elastic:
         raise InputError(f"{source}: [effects] has no stiffness: add 'tension = 1'")
     if len(elastic) > 1:
         raise InputError(f"{source}: [effects] names {' and '.join(elastic)}: only one of them is allowed")
-    effects = [find(key).read(value, f"[effects] {key}", given) for key, value in given.tables.effects.items()]
+    effects = [_read(given, key, raw, f"[effects] {key}") for key, raw in given.tables.effects.items()]
     for number, part in enumerate(given.tables.boundary):
         for key in sorted(known("boundary")):
             raw = getattr(part, key)
             if raw is not None:
-                effects.append(find(key).read(raw, f"{part_place(number)} {key}", given, part=number))
+                effects.append(_read(given, key, raw, f"{part_place(number)} {key}", part=number))
     _check_kinds(effects, source)
     for effect in effects:
         if (why := effect.conflict(effects)) is not None:
-            place = "[effects]" if effect.table == "effects" else "[[boundary]]"
+            place = "[[boundary]]" if isinstance(effect, OnPart) else "[effects]"
             raise InputError(f"{source}: {place} {why}")
     return tuple(effects)
 
 
+def _read(given: Definitions, key: str, raw: Any, place: str, **more: Any) -> Effect:
+    """The effect from its entry: that of its own, or a datum; of [effects] also one for each material."""
+    kind = find(key)
+    if issubclass(kind, OwnEntry):
+        return kind.read(raw, place, given, **more)
+    return kind((given.field if more else given.value)(raw, place), **more)
+
+
 def _check_kinds(effects: Sequence[Effect], source: str) -> None:
     """Reject effects of scalar u beside an elastic body, and the other way round."""
-    wanted = next(effect.vector_valued for effect in effects if effect.elastic)
+    wanted = next(effect.vector_valued for effect in effects if isinstance(effect, Elastic))
     for effect in effects:
         if effect.vector_valued not in (None, wanted):
-            place = "[effects]" if effect.table == "effects" else part_place(getattr(effect, "part", 0))
+            place = part_place(effect.part) if isinstance(effect, OnPart) else "[effects]"
             why = "is for scalar u, not for elastic bodies" if wanted else "is for elastic bodies ('elasticity')"
-            load = " = " + effect.text if effect.key == "load" else ""
+            load = f" = {effect}" if effect.key == "load" else ""
             hint = "; give a list of components" if effect.key == "load" and wanted else ""
             raise InputError(f"{source}: {place} {effect.key}{load}: {why}{hint}")
 

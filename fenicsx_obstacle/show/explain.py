@@ -26,7 +26,8 @@ from fenicsx_obstacle.discrete.hierarchy import (
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.discrete.meshing import GEOMETRY
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
-from fenicsx_obstacle.effects.effect import known
+from fenicsx_obstacle.effects.boundary import OnPart
+from fenicsx_obstacle.effects.effect import Effect, known, of_model_problem
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
@@ -48,10 +49,12 @@ def explain(scene: Scene) -> str:
 def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     """Its parts: name and lines of each."""
     text = filled(
-        "explain.txt", scene=scene, integrals=integrals(scene), moving=_moving(scene),
+        "explain.txt", scene=scene, integrals=integrals(scene), terms=_terms(scene),
+        without=[effect.key for effect in scene.effects if not _has_form(effect)], moving=_moving(scene),
         equation=_equation(scene), loads=lambda number: _loads(scene, number), components=_components, where=_where,
-        point=_point, part_place=part_place, free=_free(scene), elastic=_elastic(scene), mesh=_mesh(scene),
-        size=_size(scene), method_words=_method(scene), linear_solver=_linear_solver(scene), pressed=_pressed(scene),
+        point=_point, part_place=part_place, free=_free(scene), elastic=scene.model.elastic.key.replace("_", " "),
+        mesh=_mesh(scene), size=_size(scene), method_words=_method(scene), linear_solver=_linear_solver(scene),
+        pressed=any(getattr(effect, "force", None) for effect in scene.effects),
         orders=_orders(scene), counts_nodes=any(map(_counts_nodes, scene.report.values())),
         not_included=_not_included(scene),
     )  # fmt: skip
@@ -64,20 +67,26 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
 
 def integrals(scene: Scene) -> int:
     """Number of assembled integrals: those of the effects, and the penalty."""
-    return sum(effect.integrals for effect in scene.effects) + scene.penalised
+    return sum(map(_has_form, scene.effects)) + scene.penalised
+
+
+def _has_form(effect: Effect) -> bool:
+    """Whether it has a part of the residual that is a form."""
+    return type(effect).terms is not Effect.terms
 
 
 def _equation(scene: Scene) -> str:
-    inside = [effect for effect in scene.effects if effect.table == "effects"]
-    left = [effect.equation for effect in inside if effect.left]
-    right = [effect.equation for effect in inside if not effect.left and effect.equation]
+    inside = [effect for effect in scene.effects if effect.equation and not isinstance(effect, OnPart)]
+    left = [effect.equation for effect in inside if not effect.term.startswith("-")]
+    right = [effect.equation for effect in inside if effect.term.startswith("-")]
     contact = ["p"] if scene.sides and not scene.model.thin and not scene.model.vector_valued else []
     return f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"
 
 
-def _elastic(scene: Scene) -> str:
-    """The effect that gives a(u, v) its stiffness."""
-    return next(effect.key for effect in scene.effects if effect.elastic).replace("_", " ")
+def _terms(scene: Scene) -> str:
+    """a(u, v) - f(v), the elastic effect first."""
+    ordered = sorted(scene.effects, key=lambda effect: effect is not scene.model.elastic)
+    return " ".join(effect.term for effect in ordered if effect.term)
 
 
 def _moving(scene: Scene) -> bool:
@@ -98,7 +107,7 @@ def _point(given: Any) -> str:
 
 def _loads(scene: Scene, number: int) -> list[str]:
     """What acts on a part of the boundary."""
-    return [effect.equation for effect in scene.effects if getattr(effect, "part", None) == number]
+    return [effect.equation for effect in scene.effects if isinstance(effect, OnPart) and effect.part == number]
 
 
 def _components(part: BoundaryTable) -> list[str]:
@@ -157,7 +166,7 @@ def _size(scene: Scene) -> str:
     shape, degree = shape_of(scene), scene.pair.degree
     dim = len(shape.cells)
     unknowns = shape.vertices(degree * 2.0**scene.tables.mesh.refine)
-    more = 1.0 if all(effect.in_model_problem for effect in scene.effects) else OTHERS
+    more = 1.0 if all(map(of_model_problem, scene.effects)) else OTHERS
     megabytes = max(unknowns * more * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
     return f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB in addition to the libraries"
 
@@ -190,11 +199,6 @@ def _linear_solver(scene: Scene) -> str:
         return f"{solver}, on the finest level only, from the last time step"
     by_levels = stepwise(effects, pair, options)
     return f"{solver}, {'each level starts from the next coarser one' if by_levels else 'on the finest level only'}"
-
-
-def _pressed(scene: Scene) -> bool:
-    """Whether an obstacle is moved until it presses with a force."""
-    return any(effect.key == "obstacle" and "force" in effect.text for effect in scene.effects)
 
 
 def _orders(scene: Scene) -> str:

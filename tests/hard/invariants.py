@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from dolfinx import fem
@@ -86,9 +86,8 @@ def _equilibrium(s: Solved) -> Finding:
     u.x.scatter_forward()
     net = 0.0  # a(u, 1) - f(1)
     for effect in problem.model.effects:
-        forces = effect.vector(data)
-        if forces is not None:  # of no form
-            net -= total(g.comm, forces)
+        if effect.role == "point forces":  # of no form
+            net -= total(g.comm, data.at_points(cast(Any, effect.value), effect.key))
         lumped = effect.role == "load" and problem.level.pair.own_weights
         form = effect.terms(u, one, data)
         if lumped:  # with the weights of its pair

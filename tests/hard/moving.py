@@ -66,7 +66,7 @@ def _energies(answer: Answer) -> list[Finding]:
     energy = time_history.column("energy")
     model = scene.model
     given = [model.lower, model.upper, *(part.value for part in model.boundary)]
-    rests = not any(field.moves for field in fields_in([*(effect.inputs for effect in model.effects), *given]))
+    rests = not any(field.moves for field in fields_in([*map(vars, model.effects), *given]))
     falls = rests and np.isfinite(energy).all() and scene.time.scheme in ("euler", "midpoint")
     if not falls:
         return []

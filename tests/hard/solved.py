@@ -32,7 +32,7 @@ from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import ROUND_OFF
-from fenicsx_obstacle.effects.effect import residual
+from fenicsx_obstacle.effects.effect import is_support, residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -143,10 +143,10 @@ class ReferenceProblem:
         self.problem, self.comm = problem, problem.level.comm
         self.D, self.free, self.touchable = problem.weights, ~problem.fixed, problem.touchable
         effects = problem.model.effects
-        self.bent = any(effect.elastic and not effect.affine for effect in effects)
+        self.bent = not problem.model.elastic.affine
         self.symmetric = problem.symmetric
         law = problem.law
-        lasting = [effect for effect in effects if effect.affine or effect.elastic]
+        lasting = [effect for effect in effects if effect.affine or effect is problem.model.elastic]
         form = residual(lasting, law.w + law.reference, law.v, problem.data)
         self._form = releases.form(ufl.derivative(form, law.w))
         self.A, self._S = PETSc.Mat(), PETSc.Mat()
@@ -157,7 +157,7 @@ class ReferenceProblem:
         signs = is_m_matrix(self.A, self.diagonal, self.comm) and sums_nowhere_negative(
             self.A, self.diagonal, self.comm
         )
-        beside = all(effect.affine or effect.pointwise for effect in effects)
+        beside = all(effect.affine or effect.role == "soft obstacle" for effect in effects)
         self.monotone = self.held and signs and beside and (self.symmetric or self._inverse_positive())
 
     def _settle(self) -> None:
@@ -181,7 +181,7 @@ class ReferenceProblem:
     def _definite(self) -> bool:
         """Whether the symmetric part of the matrix is positive definite."""
         given = total(self.comm, np.count_nonzero(self.problem.fixed)) > 0
-        if self.symmetric and (given or not any(effect.holds for effect in self.problem.model.effects)):
+        if self.symmetric and (given or not any(map(is_support, self.problem.model.effects))):
             return given
         one, sums = self._S.createVecs()
         one.set(1.0)

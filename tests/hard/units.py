@@ -16,7 +16,9 @@ from typing import Any
 import msgspec
 
 from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.domain.power_law import FLAT
+from fenicsx_obstacle.effects.effect import is_support
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_SHAPE
 
@@ -88,7 +90,7 @@ class Units:
         changes["effects"] = {key: self._datum(key, value, dim) for key, value in given.items()}
         changes |= {f"obstacle.{key}": self.height_of(value) for key, value in obstacle.items()}
         new = {"value": self.height_of, "lower": self.height_of, "upper": self.height_of, "where": self._old}
-        acting = {effect.key for effect in scene.effects if effect.table == "boundary"}
+        acting = {effect.key for effect in scene.effects if isinstance(effect, OnPart)}
         new |= {key: partial(self._datum, key, dim=dim) for key in acting}
         parts = tables.get("boundary", ())
         changes["boundary"] = [{k: new[k](v) if k in new else v for k, v in part.items()} for part in parts]
@@ -193,7 +195,7 @@ def all_units(scene: Scene, size: float) -> list[Units]:
                 scaled = {"length": factor, "height": factor}
             if shape or "length" not in scaled:
                 found.append(Units(f"{' and '.join(f'{one}s' for one in scaled)} x 2^{sign}30", **scaled))
-    if any(effect.holds and effect.order == 0 for effect in effects):  # heights count from 0 there
+    if any(is_support(effect) and effect.order == 0 for effect in effects):  # heights count from 0 there
         return list(dict.fromkeys(found))
     power = 2.0 ** round(math.log2(size)) if size > 0 else 1.0
     return [*dict.fromkeys(found), Units("heights + 2^20 sizes", shift=MILLION * power)]

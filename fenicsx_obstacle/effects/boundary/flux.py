@@ -19,7 +19,6 @@ class Flux(OnPart):
     """
 
     key = "flux"
-    table = "boundary"
     equation = "flux"
     term = "- int flux v over its part, nodal rule"
     unit = "force/length"
@@ -27,10 +26,6 @@ class Flux(OnPart):
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key, nodal=True)
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        values = data.on_part(self.value, self.part).x.array
-        return float(values.min(initial=0.0)), float(values.max(initial=0.0))
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * u * data.over(self.part, self.key, nodal=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Reader, keys_of, register
+from fenicsx_obstacle.effects.effect import Reader, register
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.elasticity import ball_gap, plane_gap
@@ -56,15 +56,13 @@ class Obstacle(OnPart):
     source: str
 
     key = "obstacle"
-    table = "boundary"
     equation = "- p n"
-    unit = ""
     vector_valued = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Obstacle:
         others = ("centre", "at", "axis", "along", "force", "travel", "moves")
-        keys_of(raw, place, reader, (), (*KINDS, *others), one_of=tuple(KINDS))
+        reader.table(raw, place, (), (*KINDS, *others), tuple(KINDS))
         source, kinds = f"{reader.source}: {place}", [key for key in KINDS if key in raw]
         if len(kinds) > 1:
             raise InputError(f"{source}: {' and '.join(kinds)} exclude each other; use a table [[boundary]] for each")
@@ -120,8 +118,7 @@ class Obstacle(OnPart):
             travel=travel, moves=vector("moves", unit=True), words="{" + words + "}", source=source,
         )  # fmt: skip
 
-    @property
-    def text(self) -> str:
+    def __str__(self) -> str:
         return self.words
 
     @property

@@ -19,7 +19,6 @@ class Pressure(OnPart):
     """
 
     key = "pressure"
-    table = "boundary"
     equation = "- pressure n"
     term = "+ int pressure n . v over its part"
     unit = "force/area"

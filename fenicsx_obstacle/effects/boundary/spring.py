@@ -7,7 +7,7 @@ from typing import Any
 import ufl
 from ufl import FacetNormal, dot
 
-from fenicsx_obstacle.effects.boundary import OfComponentsOnPart, OnPart
+from fenicsx_obstacle.effects.boundary import OfComponents, OnPart
 from fenicsx_obstacle.effects.effect import Reader, Sampler, register
 
 OF_BODIES = "force/length^3"  # unit of springs on elastic bodies
@@ -22,26 +22,20 @@ class Spring(OnPart):
     """
 
     key = "spring"
-    table = "boundary"
     equation = "- spring u"
     term = "+ int spring u v over its part, nodal rule"
     unit = "force/area"
     role = "part reaction"
-    holds = True
 
     @classmethod
-    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Any:
-        if isinstance(raw, list | tuple) or reader.of_body:
-            kind = ElasticSupport if isinstance(raw, list | tuple) else NormalSpring
-            return kind.read(raw, place, reader, **more)
-        return super().read(raw, place, reader, **more)
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> OnPart:
+        if isinstance(raw, list | tuple):
+            return ElasticSupport.read(raw, place, reader, **more)
+        return (NormalSpring if reader.of_body else cls)(reader.field(raw, place), **more)
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)
         return k * u * v * data.over(self.part, self.key, nodal=True)
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         k = data.on_part(self.value, self.part, least=0.0)
@@ -55,7 +49,6 @@ class NormalSpring(OnPart):
     """
 
     key = "spring"
-    table = "boundary"
     equation = "- spring (u . n) n"
     term = "+ int spring (u . n) (v . n) over its part"
     unit = OF_BODIES
@@ -66,7 +59,7 @@ class NormalSpring(OnPart):
         return k * dot(u, n) * dot(v, n) * data.over(self.part, self.key)
 
 
-class ElasticSupport(OfComponentsOnPart):
+class ElasticSupport(OfComponents):
     """The components of sigma(u) n are -spring_k u_k: + int sum spring_k u_k v_k, spring_k >= 0.
 
     Unit: force per area and length.

@@ -7,12 +7,12 @@ from typing import Any
 import ufl
 from ufl import as_vector, inner
 
-from fenicsx_obstacle.effects.boundary import OfComponentsOnPart
+from fenicsx_obstacle.effects.boundary import OfComponents
 from fenicsx_obstacle.effects.effect import Sampler, register
 
 
 @register
-class Traction(OfComponentsOnPart):
+class Traction(OfComponents):
     """sigma(u) n = traction: - int traction . v; unit: force per area."""
 
     key = "traction"

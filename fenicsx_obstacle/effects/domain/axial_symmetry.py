@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, register
 from fenicsx_obstacle.errors import InputError
 
 
@@ -22,7 +22,7 @@ class AxialSymmetry(Effect):
     value: None = None  # type: ignore[assignment]
 
     key = "axial_symmetry"
-    radial = True
+    role = "radial weight"
     vector_valued = None
 
     @classmethod
@@ -31,9 +31,5 @@ class AxialSymmetry(Effect):
             raise InputError(f"{reader.source}: {place} = {raw!r}: expected true, or nothing")
         return cls()
 
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
-
-    @property
-    def text(self) -> str:
+    def __str__(self) -> str:
         return "true: x is the distance from the axis, the weight of every integral; areas and forces are per radian"

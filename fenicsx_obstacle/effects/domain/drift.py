@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import ufl
-from ufl import conditional, grad, gt, inner, max_value, sqrt
+from ufl import grad, inner
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.effects.effect import Effect, Elastic, Reader, Sampler, register
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.errors import InputError
 
 
 @register
@@ -36,38 +35,19 @@ class Drift(Effect):
 
     key = "drift"
     equation = "drift . grad u"
-    left = True
     term = "+ int (drift . grad u) v"
-    note = (
-        "drift: in cells with a Peclet number |drift| h/(2 tension) above 1 the test functions of drift, load and "
-        "foundation are upwinded, v + tau drift . grad v (SUPG); elsewhere Galerkin's method"
-    )
     unit = "force/area"
     role = "drift"
     symmetric = False
     convex = False
-    upwinded = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Drift:
-        if not isinstance(raw, list) or not 1 <= len(raw) <= 3 or any(isinstance(part, list | dict) for part in raw):
-            wanted = "a list of one number or formula per coordinate"
-            raise InputError(f"{reader.source}: {place} = {raw!r}: expected {wanted}")
-        return cls(tuple(reader.field(part, f"{place}[{axis}]") for axis, part in enumerate(raw)))
+        return cls(reader.components(raw, place, (1, 2, 3), "a list of one number or formula per coordinate"))
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
-        bent = [effect.key for effect in effects if effect.elastic and not effect.affine]
+        bent = [effect.key for effect in effects if isinstance(effect, Elastic) and not effect.affine]
         return f"{self.key} can only be combined with tension, not with {bent[0]}" if bent else None
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return inner(data.field(self.value), grad(u)) * v * data.dx
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
-
-    def upwinding(self, v: Any, elastic: Effect, data: Sampler) -> Any:
-        b, tension = data.field(self.value), elastic.tension_at(None, data)
-        squared = inner(b, b)
-        along = inner(tension * b, b) / squared if tension.ufl_shape else tension
-        excess = max_value(sqrt(squared) * data.cell_size / 2 - along, 0.0)
-        return conditional(gt(squared, 0.0), excess / squared, 0.0) * inner(b, grad(v))

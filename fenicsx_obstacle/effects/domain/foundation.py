@@ -19,18 +19,12 @@ class Foundation(Effect):
 
     key = "foundation"
     equation = "foundation u"
-    left = True
     term = "+ int foundation u v"
-    upwinded = True
     unit = "force/volume"
     role = "reaction"
-    holds = True
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, least=0.0) * u * v * data.dI
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI

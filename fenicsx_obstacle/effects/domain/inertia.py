@@ -21,10 +21,8 @@ class Inertia(Effect):
 
     key = "inertia"
     equation = "inertia u_tt"
-    left = True
     term = "+ int inertia u_tt v, nodal rule"
     unit = "mass/length^2"
-    holds = True
     order = 2
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
@@ -36,7 +34,3 @@ class Inertia(Effect):
 
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, positive=True) * data.motion.acceleration_energy(u) * data.dI
-
-    def energy_of_motion(self, velocity: Any, data: Sampler) -> ufl.Form:
-        """rho v^2/2."""
-        return 0.5 * data.cellwise(self.value, positive=True) * velocity**2 * data.dI

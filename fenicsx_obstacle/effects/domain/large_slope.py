@@ -23,8 +23,8 @@ class LargeSlope(WithTension):
     key = "large_slope"
     equation = "-div(large_slope grad u/sqrt(1 + |grad u|^2))"
     term = "int large_slope grad u . grad v/sqrt(1 + |grad u|^2)"
+    role = "film"
     affine = False
-    film = True
 
     def tension_at(self, u: Any, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True) / sqrt(1 + inner(grad(u), grad(u)))

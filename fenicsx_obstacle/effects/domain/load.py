@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import ufl
 from ufl import inner
 
-from fenicsx_obstacle.effects.effect import Effect, OfComponents, Reader, Sampler, components_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
+from fenicsx_obstacle.effects.field import Field
 
 
 @register
@@ -17,14 +19,13 @@ class Load(Effect):
     key = "load"
     equation = "load"
     term = "- int load v"
-    upwinded = True
     unit = "force/area"
     role = "load"
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
         if isinstance(raw, list):
-            return BodyForce.read(raw, place, reader)
+            return BodyForce(reader.components(raw, place))
         return cls(reader.value(raw, place))
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
@@ -33,22 +34,22 @@ class Load(Effect):
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         return -data.cellwise(self.value) * u * data.dx
 
-    def push(self, data: Sampler) -> tuple[float, float]:
-        values = data.values(self.value)
-        return float(values.min(initial=0.0)), float(values.max(initial=0.0))
 
+@dataclass(frozen=True)
+class BodyForce(Effect):
+    """The load f of f(v) = int f . v, sampled as `Level.W` is; unit: force per volume.
 
-class BodyForce(OfComponents):
-    """The load f of f(v) = int f . v, sampled as `Level.W` is; unit: force per volume."""
+    Attributes:
+        value: Its components.
+    """
+
+    value: tuple[Field, ...]  # type: ignore[assignment]
 
     key = "load"
     equation = "load"
     term = "- int load . v"
     unit = "force/volume"
-
-    @classmethod
-    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> BodyForce:
-        return cls(components_of(raw, place, reader))
+    vector_valued = True
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -inner(data.field(self.value), v) * data.dx

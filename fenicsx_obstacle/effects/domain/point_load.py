@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, register
 from fenicsx_obstacle.errors import InputError
 
 
@@ -32,8 +30,6 @@ class PointLoad(Effect):
     term = "- sum point_load v(point)"
     unit = "force"
     role = "point forces"
-    no_bound = "the error bound does not cover point loads, whose energy is infinite but on intervals"
-    no_bound_from = 2
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PointLoad:
@@ -43,23 +39,15 @@ class PointLoad(Effect):
         found = []
         for number, one in enumerate(raw):
             here = f"{place}[{number}]"
-            given = keys_of(one, here, reader, ("at", "force"))
+            given = reader.table(one, here, ("at", "force"))
             at = given["at"] if isinstance(given["at"], list) else [given["at"]]
             force = reader.number(given["force"], f"{here}.force")
             found.append((tuple(reader.number(x, f"{here}.at") for x in at), force))
         return cls(tuple(found))
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
-        radial = [effect.key for effect in effects if effect.radial]
+        radial = [effect.key for effect in effects if effect.role == "radial weight"]
         return f"{self.key}: with {radial[0]} a point is a circle" if radial else None
 
-    @property
-    def text(self) -> str:
+    def __str__(self) -> str:
         return ", ".join(f"{force:g} at ({', '.join(f'{x:g}' for x in at)})" for at, force in self.value)
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        forces = [force for _, force in self.value]
-        return min(0.0, *forces), max(0.0, *forces)
-
-    def vector(self, data: Sampler) -> np.ndarray:
-        return data.at_points(self.value, f"[effects] {self.key}")

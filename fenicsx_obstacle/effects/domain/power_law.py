@@ -8,7 +8,7 @@ from typing import Any
 import ufl
 from ufl import grad, inner
 
-from fenicsx_obstacle.effects.effect import Reader, Sampler, WithTension, keys_of, register
+from fenicsx_obstacle.effects.effect import Reader, Sampler, WithTension, register
 from fenicsx_obstacle.errors import InputError
 
 _LIMITS = (
@@ -42,7 +42,7 @@ class PowerLaw(WithTension):
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> PowerLaw:
-        given = keys_of(raw, place, reader, ("exponent",), ("coefficient", "regularisation"))
+        given = reader.table(raw, place, ("exponent",), ("coefficient", "regularisation"))
         exponent = reader.number(given["exponent"], f"{place}.exponent")
         flat = reader.number(given.get("regularisation", FLAT), f"{place}.regularisation")
         if not 1 < exponent < 4:
@@ -51,8 +51,7 @@ class PowerLaw(WithTension):
             raise InputError(f"{reader.source}: {place}.regularisation = {flat:g}: must be positive")
         return cls(reader.value(given.get("coefficient", 1.0), f"{place}.coefficient"), exponent, flat)
 
-    @property
-    def text(self) -> str:
+    def __str__(self) -> str:
         return (
             f"{{exponent = {self.exponent:g}, coefficient = {self.value.text}, "
             f"regularisation = {self.regularisation:g}}}"

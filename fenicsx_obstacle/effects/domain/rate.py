@@ -19,10 +19,8 @@ class Rate(Effect):
 
     key = "rate"
     equation = "rate u_t"
-    left = True
     term = "+ int rate u_t v, nodal rule"
     unit = "force time/length^3"
-    holds = True
     order = 1
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:

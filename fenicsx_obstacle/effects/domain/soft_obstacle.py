@@ -7,7 +7,7 @@ from typing import Any
 
 import ufl
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, keys_of, register
+from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler, register
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.penalty import positive_part
 
@@ -30,21 +30,18 @@ class SoftObstacle(Effect):
 
     key = "soft_obstacle"
     equation = "stiffness ((u - upper)^+ - (lower - u)^+)"
-    left = True
     term = "+ int stiffness ((u - upper)^+ - (lower - u)^+) v, nodal rule"
     unit = "force/volume"
+    role = "soft obstacle"
     affine = False
-    gives_way = True
-    pointwise = True
 
     @classmethod
     def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> SoftObstacle:
-        given = keys_of(raw, place, reader, ("stiffness",), ("lower", "upper"), one_of=("lower", "upper"))
+        given = reader.table(raw, place, ("stiffness",), ("lower", "upper"), ("lower", "upper"))
         sides = {side: reader.field(given[side], f"{place}.{side}") for side in ("lower", "upper") if side in given}
         return cls(reader.value(given["stiffness"], f"{place}.stiffness"), **sides)
 
-    @property
-    def text(self) -> str:
+    def __str__(self) -> str:
         sides = [f"{side} = {g.text}" for side, g in (("lower", self.lower), ("upper", self.upper)) if g is not None]
         return "{" + ", ".join([*sides, f"stiffness = {self.value.text}"]) + "}"
 
@@ -55,16 +52,6 @@ class SoftObstacle(Effect):
     def energy(self, u: Any, data: Sampler) -> ufl.Form:
         above, below = self._excess(u, data)
         return 0.5 * data.cellwise(self.value, least=0.0) * (above**2 + below**2) * data.dI
-
-    def heights(self, data: Sampler) -> list[Any]:
-        return [values for values in self.sides(data) if values is not None]
-
-    def sides(self, data: Sampler) -> tuple[Any, Any]:
-        lower, upper = (None if g is None else data.height(g).x.array for g in (self.lower, self.upper))
-        return lower, upper
-
-    def push(self, data: Sampler) -> tuple[float, float]:
-        return 0.0, 0.0
 
     def _excess(self, u: Any, data: Sampler) -> tuple[Any, Any]:
         """(u - upper)^+ and (lower - u)^+."""
