@@ -31,7 +31,7 @@ from fenicsx_obstacle.effects.effect import Effect, known, of_model_problem
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable, part_place
+from fenicsx_obstacle.scenes.tables import OF_BODIES, OF_SHAPE, BoundaryTable, part_place
 from fenicsx_obstacle.show.template import filled
 from fenicsx_obstacle.text import counted, plain, title_of
 
@@ -123,25 +123,13 @@ def _where(part: BoundaryTable) -> str:
 
 def _free(scene: Scene) -> str:
     """The sides on which nothing acts and u is not given, as far as they have names; "" where there are none."""
-    parts, sides = scene.tables.boundary, _named_sides(scene)
+    parts = scene.model.boundary
     if any(part.on is None and part.where is None for part in parts):
         return ""
-    if not sides or any(part.where for part in parts):
+    if scene.tables.mesh.shape is None or any(part.where is not None for part in parts):
         return "what is not listed"
-    listed = {name for part in parts for name in ((part.on,) if isinstance(part.on, str) else part.on or ())}
-    return ", ".join(side for side in sides if side not in listed)
-
-
-def _named_sides(scene: Scene) -> tuple[str, ...]:
-    names = ("left", "right", "bottom", "top", "back", "front")
-    sides = {
-        "interval": names[:2],
-        "rectangle": names[:4],
-        "box": names,
-        "disk": ("circle",),
-        "l-shape": ("outer", "notch"),
-    }
-    return sides.get(scene.tables.mesh.shape or "", ())
+    listed = {name for part in parts for name in part.on or ()}
+    return ", ".join(side for side in shape_of(scene).sides if side not in listed)
 
 
 def _mesh(scene: Scene) -> str:
@@ -153,7 +141,7 @@ def _mesh(scene: Scene) -> str:
         cad = Path(table.file).suffix.lower() in GEOMETRY
         how = "meshed by Gmsh; when refined, new vertices lie on its curves and surfaces" if cad else "its polygon"
         return f"{table.file}{refined}; the geometry is {'that of the file, ' if cad else ''}{how}"
-    axes = {"interval": "x", "rectangle": "xy", "box": "xyz", "l-shape": "xy"}.get(table.shape or "", "")
+    axes = [key for key in OF_SHAPE[table.shape or ""] if key in ("x", "y", "z")]
     corners = ", ".join(f"{axis} = [{', '.join(map(plain, getattr(table, axis)))}]" for axis in axes)
     where = corners or f"radius {plain(table.radius)}, boundary vertices stay on the circle when refined"
     return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}"
