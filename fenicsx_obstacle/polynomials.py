@@ -123,7 +123,8 @@ def to_parts(parts: np.ndarray, degree: int) -> np.ndarray:
     """
     corners = parts.shape[1]
     inside = (inner_points(corners, degree) @ parts).reshape(-1, corners)
-    values = _basis(inside, degree).reshape(len(parts), -1, len(_exponents(corners, degree)))
+    count = len(_exponents(corners, degree))
+    values = _basis(inside, degree).reshape(len(parts), count, count)
     return _to_bernstein(corners, degree) @ values
 
 
@@ -184,11 +185,15 @@ def combined(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     return values @ weights[0].T if len(weights) == 1 else np.matmul(weights, values[..., None])[..., 0]
 
 
-def restricted(coefficients: np.ndarray, start: np.ndarray, end: np.ndarray, degree: int) -> np.ndarray:
-    """Bernstein coefficients of polynomials on the parts of their intervals from start to end, 0 to 1."""
-    t = start[:, None] + (end - start)[:, None] * inner_points(2, degree)[:, 1]
-    basis = _basis(np.column_stack([1 - t.ravel(), t.ravel()]), degree).reshape(*t.shape, degree + 1)
-    return np.einsum("npk,nk->np", basis, coefficients) @ _to_bernstein(2, degree).T
+def restricted(coefficients: np.ndarray, parts: np.ndarray, degree: int) -> np.ndarray:
+    """Bernstein coefficients of polynomials on parts of their simplices.
+
+    Args:
+        coefficients: On the simplices, shape (parts, n).
+        parts: Barycentric coordinates of the corners of the parts, shape (parts, corners, corners).
+        degree: Of the polynomials.
+    """
+    return np.matmul(to_parts(parts, degree), coefficients[..., None])[..., 0]
 
 
 def slopes(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
@@ -226,9 +231,11 @@ def _exponents(corners: int, degree: int) -> np.ndarray:
 
 def _basis(points: np.ndarray, degree: int) -> np.ndarray:
     """Values of the Bernstein polynomials, shape (points, polynomials)."""
-    exponents = _exponents(points.shape[1], degree)
-    times = [factorial(degree) / prod(factorial(int(k)) for k in row) for row in exponents]
-    return np.prod(points[:, None, :] ** exponents[None], axis=2) * np.array(times)
+    exponents = _exponents(points.shape[1], degree).astype(int)
+    times = [factorial(degree) / prod(factorial(k) for k in row) for row in exponents.tolist()]
+    powers = np.stack([points**k for k in range(degree + 1)])
+    factors = (powers[k, :, corner] for corner, k in enumerate(exponents.T))
+    return reduce(np.multiply, factors, np.array(times)[:, None]).T
 
 
 @cache

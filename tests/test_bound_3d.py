@@ -8,8 +8,8 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.boundary_data import slopes_on_facets
 from fenicsx_obstacle.estimation.pieces import Group
-from fenicsx_obstacle.estimation.surface_data import _slopes_on_facets
 from fenicsx_obstacle.parallel import largest
 from tests.conftest import COMM
 
@@ -114,7 +114,7 @@ def test_slopes_on_narrow_parts_of_facets(width):
     group = Group(
         np.zeros(1, dtype=int), corners, np.ones(1), 1, corners[..., 1:] @ slope, *np.zeros((4, 1)), smooth=True
     )
-    found, height = _slopes_on_facets(group, polynomials.slopes(group.coefficients, 3, 1), x)
+    found, height = slopes_on_facets(group, polynomials.slopes(group.coefficients, 3, 1), x)
     edges = x[0, 1:] - x[0, 0]
     gradient = np.linalg.lstsq(edges, slope, rcond=None)[0]
     along = (corners[0, 1] - corners[0, 0]) @ x[0]

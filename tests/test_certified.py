@@ -299,4 +299,4 @@ def test_the_cones_of_two_edges_add_up():
         data = context.estimator.element.dirichlet
         cells = np.arange(len(data.deviation))
         points = polynomials.inner_points(3, 8)
-        assert np.all(np.abs(data.cones(cells, points)).max(axis=1) <= data.deviation)
+        assert np.all(np.abs(data.values(cells, points)).max(axis=1) <= data.deviation)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of, range_of
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.pieces import Division, pieces_of, range_of
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.scenes.fields import FormulaField
 from tests.test_enclosures import CORNERS, FORMULAS, SCENE, area
@@ -191,7 +191,7 @@ def test_cells_in_many_blocks_have_the_same_pieces(data, monkeypatch, text):
     x = np.concatenate([np.stack([low, other, high], axis=1), np.stack([low, high, low + high - other], axis=1)])
     field = FormulaField(SCENE.formula(text, "here"), SCENE)
     expected, bounds = pieces(data, text, x), field.over(x, {}, np.zeros(len(x), dtype=int)).once()
-    monkeypatch.setattr("fenicsx_obstacle.estimation.pieces.AT_ONCE", 10)
+    monkeypatch.setattr("fenicsx_obstacle.estimation.enclosed_data.AT_ONCE", 10)
     for kept in (0, 10**6):
         monkeypatch.setattr("fenicsx_obstacle.scenes.cells.KEPT", kept)
         found = pieces(data, text, x)

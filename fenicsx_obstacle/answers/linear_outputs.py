@@ -59,7 +59,7 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
 
 
 def _error(scene: Scene, raw: dict[str, Any], name: str, context: SolverContext, energy_error: float) -> float | None:
-    """An upper bound of |Q(u) - Q(u_h)|; None where there is no certified one (collective).
+    """An upper bound of |Q(u) - Q(u_h)|, (E17); None where there is no certified one (collective).
 
     Args:
         scene: Of u.
@@ -80,7 +80,7 @@ def _error(scene: Scene, raw: dict[str, Any], name: str, context: SolverContext,
     if not bound.certified or value is None:
         return None
     norm = bound.total / 2 + sqrt(bound.total**2 / 4 + max(value, 0.0))
-    weights = element.equilibration.load.largest()
+    weights = element.equilibration.load.largest
     return norm * energy_error + total(level.comm, element.simplices.area * weights * rim)
 
 

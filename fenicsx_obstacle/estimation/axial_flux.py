@@ -25,7 +25,7 @@ from fenicsx_obstacle.estimation.simplices import Simplices, integrals, next_, p
 
 
 class AxialFlux:
-    """What depends on the mesh alone.
+    """The flux with the weight, (E21): what depends on the mesh alone.
 
     Attributes:
         variation: A bound of ||1/r - 1/r_T||_T in each cell, 0 where a is 0.

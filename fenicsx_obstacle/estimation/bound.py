@@ -12,6 +12,8 @@ where r has mean zero in each cell and rho is the unbalanced force. The bound ho
 the iteration has converged or not; it assumes nothing of angles, contact set or regularity. The element gives sigma,
 the multipliers, v_h and r: `element_p1`, `element_p2`.
 
+Statements (E1) to (E26) of docs/bound_proofs.md prove the bound; the functions that compute them name them.
+
 `words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
 formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A
 callable is known at its samples only: 'certified for the sampled load'. It is 'an indicator' where the error may be
@@ -148,7 +150,8 @@ class Estimator:
             self.element.sampled = wanted and self.element.has_samples
 
     def bound(self) -> Bound:
-        """The error bound of the problem's present state (collective)."""
+        """The error bound of the problem's present state, the lesser one of (E1) with ||v_h - u_h|| and (E2)
+        (collective)."""
         problem, comm = self.problem, self.problem.level.comm
         if not problem.model.elastic.affine:
             self._prepare()
@@ -166,9 +169,9 @@ class Estimator:
         squares = terms.admissible_balanced
         S = norm(squares) + unbalanced + eta_g + eta_p
         Su = norm(terms.balanced) + unbalanced + eta_g
-        root = sqrt(S**2 / 4 + eta_C)
-        B = S / 2 + root + eta_g + eta_p
-        B2 = (Su + W) / 2 + sqrt((Su + W) ** 2 / 4 + eta_C + Su * W) + eta_g
+        error = largest_error(S, eta_C)
+        B, B2 = error + eta_g + eta_p, largest_error(Su + W, eta_C + Su * W) + eta_g
+        root = error - S / 2
         bound, energy_norm = min(B + moved, B2), norm(terms.energy)
         # how much of B + ||moved|| goes with a cell: its derivative, term by term
         slope, each = (0.5 + S / (4 * root), 1 / root) if root > 0 else (1.0, 0.0)
@@ -231,3 +234,8 @@ class Estimator:
                 f"given, by {terms.crossing:.2g} at most"
             )
         return reasons
+
+
+def largest_error(S: float, eta_C: float) -> float:
+    """The largest number e with e^2 <= S e + eta_C, (E1)."""
+    return S / 2 + sqrt(S**2 / 4 + eta_C)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces, on_sides
-from fenicsx_obstacle.estimation.piece_integrals import highest_above, mean_above
-from fenicsx_obstacle.estimation.pieces import joined, pieces_of
+from fenicsx_obstacle.estimation.enclosed_data import pieces_of
+from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces
+from fenicsx_obstacle.estimation.pieces import joined
 from fenicsx_obstacle.estimation.simplices import Simplices, reciprocals
 from fenicsx_obstacle.parallel import total
 
@@ -85,7 +85,7 @@ class BoundaryObstacle:
 
     def gaps(self, v: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float]:
         """Bounds of the mean distance of a function above the obstacle on each facet, and of how far it is below it
-        anywhere, on this rank (local).
+        anywhere, on this rank, (E23) (local).
 
         Args:
             v: sign times the values of a P1 function at local dofs.
@@ -97,12 +97,12 @@ class BoundaryObstacle:
             return np.maximum(gap, 0.0), float(np.max(-gap, initial=0.0))
         parts = self._parts
         radius = None if parts.radius is None else parts.radius[self.rows]
-        mean, away = -mean_above(self._pieces, corner, self.sign, radius), other[parts.cells[self.rows]]
+        mean, away = -self._pieces.mean_above(corner, self.sign, radius), other[parts.cells[self.rows]]
         return np.maximum(mean, 0.0) + away, float(np.max(self._highest(v) + away, initial=0.0))
 
     def _highest(self, linear: np.ndarray) -> np.ndarray:
         """Bounds of the obstacle above a P1 function on each facet (local)."""
-        return highest_above(self._pieces, linear[self._dofs], self.sign)
+        return self._pieces.highest_above(linear[self._dofs], self.sign)
 
 
 def boundary_obstacles(simplices: Simplices) -> list[tuple[float, np.ndarray, list[Field]]]:
@@ -118,7 +118,7 @@ def boundary_obstacles(simplices: Simplices) -> list[tuple[float, np.ndarray, li
         for number, part in enumerate(data.model.boundary):
             field = getattr(part, key)
             if field is not None:
-                which[on_sides(simplices, data.facets[number])] = len(fields)
+                which[simplices.on_sides(data.facets[number])] = len(fields)
                 fields.append(field)
         if fields:
             found.append((sign, which, fields))

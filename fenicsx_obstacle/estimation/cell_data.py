@@ -19,8 +19,8 @@ from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.certification import CellDatum
-from fenicsx_obstacle.estimation.piece_integrals import distance
-from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
+from fenicsx_obstacle.estimation.pieces import Group, Pieces, joined
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.simplices import Simplices, integrals
@@ -153,6 +153,8 @@ class Load:
         oscillation: Bound of ||f - Pi q||_T, shape (cells,).
         unknown: The part of it that is due to r.
         rest: Bound of the mean of r in each cell.
+        lower: A lower bound of the load in each cell; infinite where none is known.
+        upper: An upper bound.
         pieces: What is known of it; None of a number.
     """
 
@@ -169,6 +171,7 @@ class Load:
         count = len(simplices.area)
         points, weights = rule(self._dim, 4)  # exact for what the solver has, times a test function
         self.oscillation, self.unknown, self.rest = (np.zeros(count) for _ in range(3))
+        self.lower = self.upper = np.zeros(count)
         self.moments = np.zeros((count, *tests(points).shape[1:]))
         self.missing = np.zeros_like(self.moments)
         self.pieces: Pieces | None = None
@@ -180,7 +183,7 @@ class Load:
         weighted = weighted.sum(axis=0, keepdims=True) if seen.shape[1] == 1 else weighted
         solver = (simplices.size[:, None] * (seen @ weighted)).reshape(self.moments.shape)
         if value.uniform:
-            self.moments = solver
+            self.moments, self.lower, self.upper = solver, seen[:, 0], seen[:, 0]
             return
         comm, degree = data.level.comm, data.level.pair.degree
         division = LOAD[degree]
@@ -188,6 +191,7 @@ class Load:
             sides = [largest(comm, simplices.x[..., k]) - smallest(comm, simplices.x[..., k]) for k in range(self._dim)]
             division = replace(division, length=min(sides) / np.pi)  # about Friedrichs' constant
         self.pieces = in_cells(simplices, value, division)
+        self.lower, self.upper = self.pieces.lower, self.pieces.upper
         highest, unknown = largest(comm, np.abs(seen)), np.zeros(count)
         for group in self.pieces.groups:
             group.add_to(unknown, group.share * group.known_rest)
@@ -205,14 +209,10 @@ class Load:
         """The polynomials that Pi projects onto, at barycentric points, shape (points, n)."""
         return _rows(self._tests(points).sum(axis=-1))
 
+    @property
     def largest(self) -> np.ndarray:
-        """An upper bound of |f| in each cell; infinite where none is known (collective)."""
-        value, data, count = load_of(self._simplices.data), self._simplices.data, len(self._simplices.area)
-        if value is None:
-            return np.zeros(count)
-        if self.pieces is None:
-            return np.full(count, abs(float(data.at(value, np.zeros((3, 1)))[0])))
-        return np.maximum(np.abs(self.pieces.lower), np.abs(self.pieces.upper))
+        """An upper bound of |f| in each cell."""
+        return np.maximum(np.abs(self.lower), np.abs(self.upper))
 
     def forget_polynomials(self) -> None:
         """Keep no more than bounds of the load; its polynomials take much memory."""
@@ -241,7 +241,7 @@ class Load:
         basis = self._basis(points)
         of_basis = _rows(self.moments.sum(axis=-1))
         nearest = of_basis @ np.linalg.inv(basis.T @ (weights[:, None] * basis)) / size[:, None]
-        known, rests = distance(pieces, nearest @ self._basis(np.eye(self._dim + 1)).T, simplices.radius)
+        known, rests = pieces.distance(nearest @ self._basis(np.eye(self._dim + 1)).T, simplices.radius)
         self.unknown = np.sqrt(area) * rests
         self.oscillation = np.sqrt(area) * known + self.unknown
 
@@ -360,7 +360,8 @@ class Tension:
         return self._area[cells] * self.least_mean[cells] * np.einsum("xc,xc->c", gradient, gradient)
 
     def integrate_distances(self, squares: np.ndarray, fields: Fields, degree: int) -> None:
-        """Set squares to a bound of ||mu^(1/2) g - mu^(-1/2) s||_T^2 in the cells where the tension mu varies (local).
+        """Set squares to a bound of ||mu^(1/2) g - mu^(-1/2) s||_T^2 in the cells where the tension mu varies, (E25)
+        (local).
 
         Where mu is q + r, q polynomials, |r| <= R and mu >= m > 0, it is at most
         m^(-1/2) (||q g - s|| + R ||g||). Where only m <= mu <= M is known the square of the integrand, which is convex

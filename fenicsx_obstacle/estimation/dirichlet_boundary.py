@@ -40,7 +40,7 @@ class DirichletBoundary:
     by_paths: float = np.inf
 
     def friedrichs(self) -> float:
-        """Friedrichs' constant, infinite where none is known.
+        """Friedrichs' constant, (E8), infinite where none is known.
 
         Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
         box around it; otherwise `by_paths`. With the weight of axial symmetry, which is between two numbers, along the
@@ -62,7 +62,7 @@ class DirichletBoundary:
         return self.by_paths * float(np.sqrt(outer / inner)) if inner > 0 else np.inf
 
     def reach(self, load: float, least_tension: float) -> float:
-        """A bound of w >= 0, w = 0 where u is given, free elsewhere, -div(mu grad w) = f with 0 <= f <= load.
+        """A bound of w >= 0, w = 0 where u is given, free elsewhere, -div(mu grad w) = f with 0 <= f <= load, (E15).
 
         In the plane V(t) is the area of {w > t} and P(t) the length of its boundary in the domain and where w = 0 is
         given. With the coarea formula and Cauchy's inequality P^2 <= -V' int_{w = t} |grad w| <= -V' load V/mu. So

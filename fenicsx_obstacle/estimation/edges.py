@@ -63,12 +63,6 @@ class Edges:
         return np.linalg.norm(self.end - self.start, axis=1)
 
 
-def edges_of(simplices: Simplices, cells: np.ndarray, opposite: np.ndarray) -> Edges:
-    """The edges opposite to vertices of cells."""
-    start, end = (simplices.x[cells, (opposite + k) % 3] for k in (1, 2))
-    return Edges(start, end, cells)
-
-
 class Jumps:
     """The largest jump of boundary values that has been found on this rank."""
 

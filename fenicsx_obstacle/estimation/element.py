@@ -10,18 +10,19 @@ from math import sqrt
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects, proved
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
+from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
 from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.enclosed_data import range_of
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
+from fenicsx_obstacle.estimation.matrix_tension import MatrixTension
 from fenicsx_obstacle.estimation.oscillation import Oscillation
-from fenicsx_obstacle.estimation.pieces import Range, range_of
-from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.estimation.surface_data import SurfaceData
+from fenicsx_obstacle.estimation.pieces import Range
 from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
@@ -93,7 +94,7 @@ class Element(ABC):
     """
 
     equilibration: EquilibrationP1 | EquilibrationP2
-    obstacles: Sequence[Obstacle]
+    obstacles: Sequence[CoveredObstacle]
     has_samples, sampled = False, False
 
     def __init__(self, equilibration: EquilibrationP1 | EquilibrationP2, middles: np.ndarray | None = None):
@@ -101,11 +102,12 @@ class Element(ABC):
 
         Args:
             equilibration: Of this element.
-            middles: See `DirichletData`.
+            middles: See `BoundaryData`.
         """
         self.equilibration, self.simplices = equilibration, equilibration.simplices
         self.tension = tension_in_cells(equilibration)
-        self.dirichlet = _boundary_values(self.simplices, middles)
+        ends = self.simplices.dim == 1
+        self.dirichlet = BoundaryValues(self.simplices) if ends else BoundaryData(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         equilibration.load.forget_polynomials()
@@ -137,17 +139,12 @@ class Element(ABC):
         foundations and springs this holds for m <= 0: where z > 0 there is u < 0, so that k u z <= 0.
         """
         data, equilibration = self.simplices.data, self.equilibration
-        comm, pieces, load = data.level.comm, equilibration.load.pieces, load_of(data)
+        comm, load = data.level.comm, equilibration.load
         limits = {1.0: -np.inf, -1.0: np.inf}
         others = other_effects(data)
         if not proved(data) or data.axial or any(effect.role not in ("reaction", "part reaction") for effect in others):
             return limits[1], limits[-1]
-        if load is None:
-            push = pull = 0.0
-        elif pieces is None:
-            push = pull = float(data.at(load, np.zeros((3, 1)))[0])
-        else:
-            push, pull = largest(comm, pieces.upper), smallest(comm, pieces.lower)
+        push, pull = largest(comm, load.upper), smallest(comm, load.lower)
         least_tension = smallest(comm, self.tension.least)
         up, down = (self.held.reach(max(force, 0.0), least_tension) for force in (push, -pull))
         top = max(self.dirichlet.most, -np.inf if data.lower is None else largest(comm, data.lower.x.array))
@@ -193,15 +190,20 @@ class Element(ABC):
         """Bound of the energy, twice, of what boundary values are between the nodes, in each cell."""
         return self.dirichlet.energy(self.tension.most)
 
-    def beyond_round_off(self, crossing: float, v: np.ndarray) -> float:
-        """By how much obstacles may be beyond a function, 0 if that may be round-off (collective).
+    def crossing(self, beyond: Sequence[float], v: np.ndarray) -> float:
+        """By how much obstacles may be beyond the final v, 0 if that may be round-off: then v is in K, (E14)
+        (collective).
 
         Args:
-            crossing: By how much, at most.
-            v: Values of the function.
+            beyond: The same of each obstacle, but where it is covered: of two only one may be.
+            v: Values of v.
         """
-        limit = CROSSING * largest(self.simplices.data.level.comm, np.abs(v)) + UNDERFLOW
-        return crossing if crossing > limit else 0.0
+        comm, covers = self.simplices.data.level.comm, [obstacle.cover_height for obstacle in self.obstacles]
+        most = max(beyond, default=0.0)
+        if len(covers) == 2:
+            most = max(most, largest(comm, np.minimum(*covers)))
+        limit = CROSSING * largest(comm, np.abs(v)) + UNDERFLOW
+        return most if most > limit else 0.0
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """Bounds of the energy of a function, a(v, v)/2 - f(v) with the true data; None where there are none
@@ -229,14 +231,5 @@ def tension_in_cells(equilibration: EquilibrationP1 | EquilibrationP2) -> Tensio
     rows = matrix_of(simplices.data)
     if rows is None:
         return Tension(simplices, equilibration.mu)
-    from fenicsx_obstacle.estimation.matrix_tension import MatrixTension  # only where there is one
-
     assert isinstance(equilibration, EquilibrationP1) and equilibration.matrix is not None
     return MatrixTension(simplices, rows, equilibration.matrix)
-
-
-def _boundary_values(simplices: Simplices, middles: np.ndarray | None) -> BoundaryValues:
-    """Boundary values between the nodes (collective)."""
-    if simplices.dim == 2:
-        return DirichletData(simplices, middles)
-    return SurfaceData(simplices) if simplices.dim == 3 else BoundaryValues(simplices)

@@ -52,7 +52,7 @@ class ElementP1(Element):
 
     def terms(self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray) -> Terms:
         """See `Element.terms` (collective)."""
-        nodal, v, crossing = self._admissible(u)
+        nodal, v, beyond = self._admissible(u)
         gaps = {excess.sign: self._gap(v, excess) for excess in self.obstacles}
         mean = {sign: gap / self.simplices.area for sign, gap in gaps.items()}
         simplices = self.simplices
@@ -62,13 +62,11 @@ class ElementP1(Element):
             contact += sums(flux.lower if sign > 0 else flux.upper) / (self.simplices.dim + 1) * gap
         cover = sum((excess.cover_energy for excess in self.obstacles), np.zeros(len(self.simplices.area)))
         # continued boundary values are 0 on the other edges of a triangle, but not on other facets of a tetrahedron
-        below, continued = 0.0, self.dirichlet.deviation if simplices.dim == 3 else np.zeros(len(contact))
+        continued = self.dirichlet.deviation if simplices.dim == 3 else np.zeros(len(contact))
         for side, force in zip(self.equilibration.sides, flux.contact, strict=True):
-            distances, beyond = side.gaps(side.sign * v, continued)
-            below = max(below, beyond)
+            distances, above = side.gaps(side.sign * v, continued)
+            beyond.append(largest(simplices.data.level.comm, np.array([above])))
             np.add.at(contact, self.equilibration.parts.cells[side.rows], force[side.rows].sum(axis=1) * distances)
-        if flux.contact:
-            crossing = max(crossing, self.beyond_round_off(largest(simplices.data.level.comm, np.array([below])), v))
         distance, balanced = self._distance(u, flux)
         inside, outside, with_load = self._lacking(u, flux)
         moved, of_v = self._reaction_energy(v - u), self._distance(v, flux)
@@ -85,12 +83,12 @@ class ElementP1(Element):
             raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
-            energy=self.tension.energy_below(self.simplices.gradient(u)), admissible=v, crossing=crossing,
-            lacking=outside**2,
+            energy=self.tension.energy_below(self.simplices.gradient(u)), admissible=v,
+            crossing=self.crossing(beyond, v), lacking=outside**2,
         )  # fmt: skip
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
-        """See `Element.energy_of`; with tension and load (collective)."""
+        """See `Element.energy_of`; with tension and load, (E16) (collective)."""
         data = self.simplices.data
         if other_effects(data) or not proved(data) or data.axial:
             return None
@@ -121,7 +119,7 @@ class ElementP1(Element):
         return super().rim_energy() * self.simplices.most_weight + self._reaction_energy_of(self.dirichlet.deviation)
 
     def _lacking(self, u: np.ndarray, flux: FluxP1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What the flux lacks of the forces of foundations, fluxes and springs.
+        """What the flux lacks of the forces of foundations, fluxes and springs, (E5).
 
         A force in a cell is weighed by k^(-1/2), as (r, e) <= k^(-1/2) ||r|| ||k^(1/2) e||, or if its mean is 0 by
         Poincare's constant, otherwise by Friedrichs', whichever is less.
@@ -178,9 +176,9 @@ class ElementP1(Element):
         most = self.equilibration.reaction.most
         return most * self.simplices.size * height**2 + self.equilibration.parts.energy_of(height)
 
-    def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much obstacles in the
-        domain may be beyond the latter (collective)."""
+    def _admissible(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float]]:
+        """The nodal maximum of u and the obstacles, the same of the obstacles raised, and by how much each obstacle in
+        the domain may be beyond the latter (collective)."""
         data, nodal, v = self.simplices.data, u.copy(), u.copy()
         given = data.fixed[0]
         for side in self.equilibration.sides:
@@ -193,13 +191,7 @@ class ElementP1(Element):
             inside[given] = nodal[given]
             nodal[:], v = inside, excess.sign * excess.lift(excess.sign * v)
         # of two obstacles the second one may have moved the state beyond the first
-        comm, crossing = data.level.comm, 0.0
-        for excess in self.obstacles:
-            crossing = max(crossing, excess.beyond(excess.sign * v))
-        if len(self.obstacles) == 2:
-            both = np.minimum(*(excess.cover_height for excess in self.obstacles))
-            crossing = max(crossing, largest(comm, both))
-        return nodal, v, self.beyond_round_off(crossing, v)
+        return nodal, v, [excess.beyond(excess.sign * v) for excess in self.obstacles]
 
     def _gap(self, v: np.ndarray, excess: ObstacleExcess) -> np.ndarray:
         """The integral of the distance of v to an obstacle over each cell; with a weight |T| times the mean."""

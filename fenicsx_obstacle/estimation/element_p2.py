@@ -13,21 +13,20 @@ from functools import reduce
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.lattice_obstacle import LatticeObstacle
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, reference_fields
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
 from fenicsx_obstacle.estimation.triangle_lattice import MEANS, NODES, POINTS, PRODUCTS, SLOPES, SMALL
-from fenicsx_obstacle.parallel import largest
 
 
 class ElementP2(Element):
     """P2 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP2
-    dirichlet: DirichletData
+    dirichlet: BoundaryData
     obstacles: list[LatticeObstacle]
     has_samples = True
 
@@ -73,10 +72,11 @@ class ElementP2(Element):
 
     def _gap(self, u: np.ndarray, side: LatticeObstacle) -> np.ndarray:
         """Mean of the distances of u to an obstacle at the nodes of each cell."""
-        return np.maximum(side.sign * (u - side.nodal(self.problem.data)), 0.0)[self.equilibration.nodes].mean(axis=1)
+        return np.maximum(side.sign * (u - side.heights(self.problem.data)), 0.0)[self.equilibration.nodes].mean(axis=1)
 
     def _lifted(self, nodal: np.ndarray, flux: FluxP2) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """The function on the lattice that is added to u so that it is above the obstacles (collective).
+        """The function on the lattice that is added to u so that it is above the obstacles, and lambda_+, (E18)
+        (collective).
 
         Args:
             nodal: Values of u at the nodes of cells.
@@ -88,7 +88,7 @@ class ElementP2(Element):
         """
         area, count = self.simplices.area, len(self.simplices.area)
         added, contact, reduced = np.zeros((count, len(POINTS))), np.zeros(count), np.zeros(count)
-        largest_of, crossing, moved = [], 0.0, None
+        largest_of, moved = [], None
         for side in self.obstacles:
             pressure = flux.lower if side.sign > 0 else flux.upper
             mean = pressure.mean(axis=1)
@@ -96,7 +96,7 @@ class ElementP2(Element):
             least = at_vertices.min(axis=1)
             kept = np.where(least < 0, mean / np.maximum(mean - least, 1e-300), 1.0)
             reduced += (1 - kept) * np.sqrt(area / 3 * ((pressure - mean[:, None]) ** 2).sum(axis=1))
-            at_nodes = side.nodal(self.problem.data)[self.equilibration.nodes] if self.sampled else None
+            at_nodes = side.heights(self.problem.data)[self.equilibration.nodes] if self.sampled else None
             positive = np.maximum(mean[:, None] + kept[:, None] * (at_vertices - mean[:, None]), 0.0)
             largest_of.append(positive.max(axis=1, initial=0.0))
             cells, gap, raised, between = side.above(nodal, added, positive, at_nodes)
@@ -108,15 +108,13 @@ class ElementP2(Element):
             products = np.einsum("cp,cp->c", weight @ PRODUCTS, gap + lift)
             products += between
             contact[cells] += area[cells] / len(SMALL) * np.where(weight.any(axis=1), products, 0.0)
-        # the last obstacle has moved the state away from the first
+        beyond = []
         for side, multiplier in zip(self.obstacles, largest_of, strict=True):
+            # the last obstacle has moved the state away from the first
             later = None if self.sampled or side is self.obstacles[-1] else moved
-            crossing = max(crossing, side.beyond(nodal, added, later))
+            beyond.append(side.beyond(nodal, added, later))
             contact += multiplier * side.cover_volume
-        if len(self.obstacles) == 2:
-            both = np.minimum(*(side.cover_volume for side in self.obstacles))
-            crossing = max(crossing, largest(self.simplices.data.level.comm, both))
-        return added, contact, reduced, self.beyond_round_off(crossing, nodal)
+        return added, contact, reduced, self.crossing(beyond, nodal)
 
     def _energy_on_lattice(self, slopes: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """||mu^(1/2) grad||_T^2, mu being the largest tension, from derivatives along the reference axes."""

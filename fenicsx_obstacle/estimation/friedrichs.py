@@ -34,8 +34,8 @@ from fenicsx_obstacle.parallel import largest, total
 
 
 def friedrichs_by_paths(level: Level, held_sides: np.ndarray) -> float:
-    """c with ||v|| <= c ||grad v|| for all v that are 0 on the held facets; infinite if some cell has no path to one
-    (collective).
+    """c with ||v|| <= c ||grad v|| for all v that are 0 on the held facets, (E9); infinite if some cell has no path to
+    one (collective).
 
     Args:
         level: A mesh of simplices.

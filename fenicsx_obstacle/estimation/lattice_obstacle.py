@@ -10,12 +10,12 @@ from functools import reduce
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.cell_data import in_cells
-from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.dirichlet_data import DirichletData
-from fenicsx_obstacle.estimation.pieces import Division, Group, Pieces, Range, pieces_of
+from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
+from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
+from fenicsx_obstacle.estimation.pieces import Group, Pieces, Range
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -33,21 +33,10 @@ from fenicsx_obstacle.estimation.triangle_lattice import (
     above_chords,
     bernstein,
     by_part,
-    nodes_of,
-    of_nodes,
 )
 from fenicsx_obstacle.parallel import largest as largest_of
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.polynomials import (
-    coefficients,
-    combined,
-    halved,
-    inner_points,
-    largest,
-    raised,
-    round_off,
-    row_size,
-)
+from fenicsx_obstacle.polynomials import coefficients, combined, inner_points, largest, row_size
 
 AS_THEY_ARE = Division(0)
 SMALL_ONES = Division(4, 1e-4, 1e-4)  # for small triangles: the distance of an obstacle to linear functions matters
@@ -104,54 +93,30 @@ class _Bends:
         return needed, touches, contact
 
 
-class LatticeObstacle:
+class LatticeObstacle(CoveredObstacle):
     """One obstacle on a lattice of the cells in which u may touch it; values are times -1 for an upper obstacle.
 
     On the lattice u is raised by max(obstacle + M - u, N, 0), M and N in P1. Let d = obstacle - u. On the small
     triangles of a cell where d may be positive, M at its vertices is at least d minus its chord, or N at least d,
     whichever adds less. What is added is continuous, and the raised u is nowhere below the obstacle, except on small
     triangles with points where u is given: nothing is added there.
-
-    Attributes:
-        sign: 1 for a lower obstacle, -1 for an upper one.
-        sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or u may touch it and
-            it may have two values at a point; or it is above the state beside the boundary and may jump.
-        cover_energy: ||grad w||^2 in each cell for w = (obstacle - state)^+, 0 on the boundary, which is added to the
-            state beside nodes where u is given and cannot be raised.
-        cover_volume: Integral of w in each cell.
-        unbounded: Whether the obstacle times sign may be +infinity in each cell.
     """
 
-    def __init__(self, simplices: Simplices, dirichlet: DirichletData, sign: float, field: Field, known: Range):
-        """Store the obstacle and its bounds (collective).
+    dirichlet: BoundaryData
 
-        Args:
-            simplices: The cells.
-            dirichlet: What boundary values add to u.
-            sign: See the attributes.
-            field: The obstacle.
-            known: Bounds of it in the cells.
-        """
-        self.simplices, self._dirichlet, self.sign, self._field = simplices, dirichlet, sign, field
-        self._top = known.upper if sign > 0 else -known.lower
+    def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Range):
+        """Store the obstacle and its bounds (collective); the arguments are those of `CoveredObstacle`."""
+        super().__init__(simplices, dirichlet, sign, field, known)
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # of the cells enclosed so far
         self._enclosed = np.zeros(len(self._top), dtype=bool)
-        self.cover_energy, self.cover_volume = np.zeros(len(self._top)), np.zeros(len(self._top))
-        self.unbounded = ~np.isfinite(self._top)
-        self._of_samples = total(simplices.data.level.comm, int(known.sampled)) > 0
-        self.sampled, self._differs = self._of_samples, False
+        self._differs = False
         self._beside = np.empty(0, dtype=int), np.empty(0, dtype=int)  # cells and small triangles at the boundary
-
-    def nodal(self, data: Data) -> np.ndarray:
-        """Its values at the local nodes of P2 (collective on first use)."""
-        heights = data.heights(self.sign)
-        return self._field.clip(heights) if isinstance(self._field, Clipped) else heights
 
     def above(
         self, u: np.ndarray, added: np.ndarray, multiplier: np.ndarray,
         at_nodes: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-        """What raises a state above the obstacle where it may be below or is pressed against it (collective).
+        """What raises a state above the obstacle where it may be below or is pressed against it, (E19) (collective).
 
         Args:
             u: Values of P2 at the nodes of cells, shape (cells, 6).
@@ -186,7 +151,7 @@ class LatticeObstacle:
         """By how much the obstacle may be above the final state, on any rank, but on small triangles with a Dirichlet
         corner (collective).
 
-        There `cover_energy` and `cover_volume` become those of the function that makes up for it.
+        There it is covered (`CoveredObstacle`).
 
         Args:
             u: Values of P2 at the nodes of cells.
@@ -203,50 +168,11 @@ class LatticeObstacle:
             place, number = np.nonzero(beside & (above > 0))
             kept = ~moved[cells]
             cells, small = np.append(cells[kept], near[place]), np.append(small[kept], number)
-        above_state = self._cover(u, cells, small, self.sign * added[cells])
-        jumps = not self._field.continuous and above_state
+        lift = np.take_along_axis(self.sign * added[cells], SMALL[small], axis=1)
+        uncovered = self._cover(cells, POINTS[SMALL[small]], lift, BESIDE, u, largest_of(comm, np.abs(u)))
+        jumps = not self._field.continuous and uncovered
         self.sampled = self._of_samples or total(comm, int(self._differs or jumps)) > 0
         return most
-
-    def _cover(self, u: np.ndarray, cells: np.ndarray, small: np.ndarray, added: np.ndarray) -> bool:
-        """Bound (obstacle - state)^+ on small triangles with a Dirichlet corner (collective where the
-        obstacle needs the distance).
-
-        Args:
-            u: Values of P2 at the nodes of all cells.
-            cells: The cell that each small triangle lies in.
-            small: Its index in that cell.
-            added: sign times the state less u on the lattice of that cell.
-
-        Returns:
-            Whether there is anything on this rank.
-        """
-        self.cover_volume[:], self.cover_energy[:] = 0.0, 0.0
-        inside, lift = POINTS[SMALL[small]], np.take_along_axis(added, SMALL[small], axis=1)
-        for split in range(BESIDE + 1):
-            corners = inside @ self.simplices.x[cells]
-            at_nodes = quadratics((nodes_of(np.eye(3)) @ inside).reshape(-1, 3)).T.reshape(-1, 6, 6)
-            nodes = np.matmul(at_nodes, u[cells, :, None])[..., 0]
-            cones, steep = self._dirichlet.on_parts(cells, inside, self.sign)
-            above, last = np.zeros(len(cells), dtype=bool), split == BESIDE
-            for group in pieces_of(self.simplices.data, self._field, corners, cells, AS_THEY_ARE).groups:
-                rows, reference = group.rows, inner_points(3, max(group.degree, 2))
-                degree, coefficient, margin = self._difference(group, nodes[rows])
-                coefficient = coefficient - coefficients(combined(group.points(reference), lift[rows]), 3, degree)
-                beyond = group.known_rest - cones[rows] + margin
-                open_ = np.flatnonzero(largest(coefficient, 3, degree) + beyond > 0)
-                rows = rows[open_]
-                above[rows] = True
-                if last:
-                    share = group.share[open_] / len(SMALL) / 4**split
-                    measure = self.simplices.area[cells[rows]] * share
-                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0).mean(axis=1)
-                    steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
-                    self.cover_volume += np.bincount(cells[rows], measure * height, len(self.cover_volume))
-                    self.cover_energy += np.bincount(cells[rows], measure * steepness, len(self.cover_energy))
-            if not last:
-                cells, inside, lift = np.repeat(cells[above], 4), halved(inside[above]), halved(lift[above])
-        return len(cells) > 0
 
     def _held(self, cells: np.ndarray) -> np.ndarray:
         """Which lattice points of some cells are Dirichlet points."""
@@ -271,11 +197,11 @@ class LatticeObstacle:
         """Whether the obstacle may be above a state in each cell (collective where the obstacle needs the distance to
         the boundary); the arguments are those of `above`."""
         lowest = bernstein(self.sign * u).min(axis=1, initial=np.inf)
-        allowance = self._dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
+        allowance = self.dirichlet.deviation + np.maximum(-self.sign * added, 0.0).max(axis=1, initial=0.0)
         found = np.zeros(len(u), dtype=bool)
         for rows, group in self._known(np.flatnonzero(self._top + allowance >= lowest)):
             bounded = group.no_less(self.sign)
-            degree, coefficient, margin = self._difference(bounded, u[rows])
+            degree, coefficient, margin = bounded.above(self.sign * u[rows], self.sign)
             touches = largest(coefficient, 3, degree) + bounded.rest + allowance[rows] > margin
             np.logical_or.at(found, rows, touches)
         return found
@@ -289,22 +215,6 @@ class LatticeObstacle:
         for owner, pieces in self._pieces:
             for group in pieces.groups:
                 yield owner[group.rows], group
-
-    def _difference(self, group: Group, u: np.ndarray, degree: int = 2) -> tuple[int, np.ndarray, np.ndarray]:
-        """Degree and Bernstein coefficients of obstacle - u on parts, from u at the nodes of the simplex of each; their
-        round-off. The degree is at least `degree`."""
-        degree = max(group.degree, degree)
-        known = group.coefficients
-        if degree > group.degree:
-            known = known @ raised(3, group.degree, degree).T
-        if group.corners is None:
-            nodal = u @ of_nodes(degree)
-        else:
-            inside = group.points(inner_points(3, degree))
-            at_nodes = quadratics(inside.reshape(-1, 3)).T.reshape(*inside.shape[:2], 6)
-            nodal = coefficients(combined(at_nodes, u), 3, degree)
-        margin = round_off((row_size(u) + row_size(known) + row_size(nodal))[:, None], 3, degree)
-        return degree, self.sign * (known - nodal), margin
 
     def _bends(
         self, u: np.ndarray, cells: np.ndarray, of_u: np.ndarray, gap: np.ndarray,
@@ -335,9 +245,9 @@ class LatticeObstacle:
             for places, whole in groups:
                 for block in blocks(len(places), MORE):
                     rows, group = places[block], whole[block]
-                    degree, coefficient, margin = self._difference(group, nodes[rows], CLOSE)
+                    degree, coefficient, margin = group.above(self.sign * nodes[rows], self.sign, CLOSE)
                     known = 2 * group.rest[:, None]  # twice: of the datum and of its chord
-                    rest = known + 2 * (self._dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
+                    rest = known + 2 * (self.dirichlet.deviation[cells[at[rows]]] + margin)[:, None]
                     most, least, means = above_chords(times, degree, coefficient)
                     place = at[rows], part[rows]
                     above = most + rest
@@ -380,10 +290,10 @@ class LatticeObstacle:
         linear = -np.take_along_axis(gap, SMALL[small], axis=1)
         bend, mean, size = np.full(len(cells), -np.inf), np.zeros(len(cells)), np.zeros(len(cells))
         for group in pieces_of(self.simplices.data, self._field, corners, cells, SMALL_ONES).groups:
-            degree, coefficient, margin = self._difference(group, nodes[group.rows])
+            degree, coefficient, margin = group.above(self.sign * nodes[group.rows], self.sign)
             chord = combined(group.points(inner_points(3, degree)), linear[group.rows])
             above = coefficient - coefficients(chord, 3, degree)
-            rest = group.known_rest + 2 * self._dirichlet.deviation[cells[group.rows]] + margin
+            rest = group.known_rest + 2 * self.dirichlet.deviation[cells[group.rows]] + margin
             group.raise_to(bend, largest(above, 3, degree) + rest)
             group.raise_to(size, row_size(above) + rest)
             mean += np.bincount(group.rows, group.share * (rest - above.mean(axis=1)), len(mean))
@@ -410,4 +320,4 @@ class LatticeObstacle:
     def _gap(self, u: np.ndarray, cells: np.ndarray) -> np.ndarray:
         """How far u with the boundary values is from the obstacle on the lattice."""
         inside = u[cells] @ quadratics(POINTS) - self.simplices.values(self._field, POINTS, cells)
-        return self.sign * (inside + self._dirichlet.cones(cells, POINTS))
+        return self.sign * (inside + self.dirichlet.values(cells, POINTS))

@@ -22,8 +22,9 @@ from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.estimation.cell_data import Fields, Tension
 from fenicsx_obstacle.estimation.certification import CellDatum
+from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.oscillation import poincare
-from fenicsx_obstacle.estimation.pieces import Division, Pieces, pieces_of
+from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplices import Simplices
 
@@ -139,7 +140,7 @@ class MatrixTension(Tension):
         return self._area[cells] * np.maximum(mean, _form(self._low[cells], gradient))
 
     def integrate_distances(self, squares: np.ndarray, fields: Fields, degree: int) -> None:
-        """Set squares to a bound of ||A^(1/2) g - A^(-1/2) s||_T^2 in all cells (local).
+        """Set squares to a bound of ||A^(1/2) g - A^(-1/2) s||_T^2 in all cells, (E20) (local).
 
         On a part it is at most alpha^(-1) (||L^-1 (q g - s)|| + delta ||L^T g||)^2, and also at most the integral of
         beta g . M g - 2 g . s + s . M^-1 s/alpha. The arguments are those of `Tension.integrate_distances`.

@@ -54,8 +54,8 @@ class Multipliers:
         self._softness = around.sums(self.share / tension[:, None])
 
     def in_cells(self, values: np.ndarray, touches: np.ndarray, gap: np.ndarray | None) -> np.ndarray:
-        """Multipliers at the nodes of cells, shape (cells, n), with the same force at each node where u is not given
-        (collective).
+        """Multipliers at the nodes of cells, shape (cells, n), with the same force at each node where u is not given,
+        (E10) (collective).
 
         Args:
             values: Multipliers at the nodes, >= 0.

@@ -11,88 +11,57 @@ from functools import reduce
 
 import numpy as np
 
-from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import in_cells
-from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.piece_integrals import LOWEST, highest_above, mean_above
-from fenicsx_obstacle.estimation.pieces import Division, Pieces, Range, pieces_of
+from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
+from fenicsx_obstacle.estimation.enclosed_data import Division
+from fenicsx_obstacle.estimation.pieces import LOWEST, Pieces, Range
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, total
 
 # where u may touch; what counts is the distance to the nodal interpolant
 SHARPER = (Division(0, 2e-3, degree=2), Division(4, 2e-3, 1e-3, 2))
-BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state,
-FEW = 20_000  # while there are so few parts: on fine meshes they matter less
+BESIDE = 4  # how often cells beside the boundary are divided where the obstacle may be above the state
 
 
-class ObstacleExcess:
+class ObstacleExcess(CoveredObstacle):
     """The excess of one obstacle over its nodal interpolant, times -1 for an upper obstacle.
 
     Attributes:
-        sign: 1 for a lower obstacle, -1 for an upper one.
         nodal: sign times its nodal values at local dofs.
         mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell, with the weight of
             integrals if they have one.
-        cover_energy: ||grad||^2 in each cell of what is added to the state beside the boundary (see `beyond`).
-        cover_volume: Its integral.
-        cover_height: A bound of it.
-        sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or it is above the
-            state beside the boundary and may jump.
-        unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(
-        self,
-        simplices: Simplices,
-        dirichlet: BoundaryValues,
-        sign: float,
-        field: Field,
-        known: Range,
-    ):
-        """Compare it with its interpolant (collective).
-
-        Args:
-            simplices: The cells.
-            dirichlet: Boundary values between the nodes.
-            sign: See the attributes.
-            field: The obstacle.
-            known: Bounds of it in the cells.
-        """
-        data = simplices.data
-        self.simplices, self.dirichlet, self.sign, self._field = simplices, dirichlet, sign, field
-        heights = data.heights(sign)
-        self.nodal = sign * (field.clip(heights) if isinstance(field, Clipped) else heights)
-        comm, cells = data.level.comm, len(simplices.area)
+    def __init__(self, simplices: Simplices, dirichlet: BoundaryValues, sign: float, field: Field, known: Range):
+        """Compare it with its interpolant (collective); the arguments are those of `CoveredObstacle`."""
+        super().__init__(simplices, dirichlet, sign, field, known)
+        self.nodal = sign * self.heights(simplices.data)
         self._size = 0.0  # of the state
         self._flat = self._field.uniform
         low, high = _least(self.nodal, simplices.dofs), -_least(-self.nodal, simplices.dofs)
-        bottom, top = (known.lower, known.upper.copy()) if sign > 0 else (-known.upper, -known.lower)
-        self._top = top
-        self.unbounded = ~np.isfinite(self._top)
+        bottom = known.lower if sign > 0 else -known.upper
         self.mean, self._height = np.maximum(bottom - high, LOWEST), np.maximum(self._top - low, 0.0)
         # how many of SHARPER are done in each cell
-        self._done = np.full(cells, len(SHARPER) if self._flat else 0)
-        self.cover_energy, self.cover_volume, self.cover_height = (np.zeros(cells) for _ in range(3))
-        self.sampled = self._of_samples = total(comm, int(known.sampled)) > 0
+        self._done = np.full(len(simplices.area), len(SHARPER) if self._flat else 0)
 
     def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
         """Heights and means in some cells; above the interpolant, and in all."""
         nodal, radius = self.nodal[self.simplices.dofs[cells]], self.simplices.radius
-        self._height[cells] = np.maximum(highest_above(pieces, nodal, self.sign, ROUND_OFF * self._size), 0.0)
-        self.mean[cells] = mean_above(pieces, nodal, self.sign, None if radius is None else radius[cells])
+        self._height[cells] = np.maximum(pieces.highest_above(nodal, self.sign, ROUND_OFF * self._size), 0.0)
+        self.mean[cells] = pieces.mean_above(nodal, self.sign, None if radius is None else radius[cells])
         self._top[cells] = pieces.upper if self.sign > 0 else -pieces.lower
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """The state raised at nodes where it is not given, so that the obstacle is nowhere above it in cells without
-        nodes where it is (collective).
+        nodes where it is, (E13) (collective).
 
         Args:
             u: sign times the state at local dofs.
         """
         raised = np.where(self.simplices.given, u, np.maximum(u, self.nodal))
-        if self._flat and not self.dirichlet.twice:
+        if self._flat:
             return raised
         # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
         dofs = self.simplices.dofs
@@ -108,7 +77,7 @@ class ObstacleExcess:
         """By how much the obstacle may be above the final state, on any rank, but beside nodes where it is given
         (collective).
 
-        There `cover_energy` and `cover_volume` become those of the function that makes up for it.
+        There it is covered (`CoveredObstacle`).
 
         Args:
             v: sign times the state at local dofs.
@@ -117,9 +86,14 @@ class ObstacleExcess:
         at_nodes = largest(comm, self.nodal - v)
         if self._flat and not self.dirichlet.twice:
             return at_nodes
-        near = self._near(v)
-        beside = near & (self.simplices.given[dofs].any(axis=1) | (self.dirichlet.deviation > 0))
-        self._cover(v, beside)
+        near, outside = self._near(v), self.dirichlet.leaves
+        if not self._flat:
+            outside = self.simplices.given[dofs].any(axis=1) | (self.dirichlet.deviation > 0)
+        beside = near & outside
+        owner, count = np.flatnonzero(beside), dofs.shape[1]
+        whole = np.broadcast_to(np.eye(count), (len(owner), count, count))
+        uncovered = self._cover(owner, whole, v[dofs[owner]], BESIDE, size=self._size)
+        self.sampled = self._of_samples or (not self._field.continuous and total(comm, int(uncovered)) > 0)
         above = np.minimum(self._height - _least(v - self.nodal, dofs), self._top - _least(v, dofs))
         return max(at_nodes, largest(comm, above[near & ~beside]))
 
@@ -141,48 +115,6 @@ class ObstacleExcess:
             _least(u - self.nodal, dofs) <= np.maximum(self._height, ROUND_OFF * self._size) + self.dirichlet.deviation
         )
         return near & (_least(u, dofs) <= self._top + self.dirichlet.deviation)
-
-    def _cover(self, state: np.ndarray, beside: np.ndarray) -> None:
-        """The excess of the obstacle in cells at nodes where u is given, which cannot be raised (collective).
-
-        It is the positive part of obstacle - state - cones of boundary values, which is 0 on the boundary. Its gradient
-        is bounded on those parts of the cells where it may be positive: with the largest slope of the cones there, or
-        with their energy in the whole cell.
-        """
-        simplices, comm = self.simplices, self.simplices.data.level.comm
-        self.cover_volume[:] = self.cover_energy[:] = self.cover_height[:] = 0.0
-        owner, without = np.flatnonzero(beside), np.zeros(len(simplices.area))  # the cones
-        count, times = simplices.dim + 1, 2**simplices.dim
-        corners, inside = simplices.x[owner], np.broadcast_to(np.eye(count), (len(owner), count, count))
-        for split in range(BESIDE + 1):
-            pieces = pieces_of(simplices.data, self._field, corners, owner, Division(0))
-            linear = (inside @ state[simplices.dofs[owner]][..., None])[..., 0]
-            cones, steep = self.dirichlet.on_parts(owner, inside, self.sign)
-            above, last = np.zeros(len(owner), dtype=bool), split == BESIDE or len(owner) > FEW
-            for group in (one.no_less(self.sign) for one in pieces.groups):
-                degree, coefficient, margin = group.above(linear, self.sign)
-                beyond, margin = group.rest - cones[group.rows], margin + ROUND_OFF * self._size
-                open_ = np.flatnonzero(polynomials.largest(coefficient, count, degree) + beyond > margin)
-                rows = group.rows[open_]
-                above[rows] = True
-                if last:
-                    measure = simplices.area[owner[rows]] * group.share[open_] / times**split
-                    height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0)
-                    steepness = group[open_].steepness(coefficient[open_], corners, steep[rows])
-                    np.add.at(self.cover_volume, owner[rows], measure * height.mean(axis=1))
-                    np.maximum.at(self.cover_height, owner[rows], height.max(axis=1, initial=0.0))
-                    np.add.at(self.cover_energy, owner[rows], measure * steepness)
-                    steepness = group[open_].steepness(coefficient[open_], corners, np.zeros(len(rows)))
-                    np.add.at(without, owner[rows], measure * steepness)
-            uncovered = np.count_nonzero(above)
-            if last:
-                break
-            owner = np.repeat(owner[above], times)
-            corners, inside = polynomials.halved(corners[above]), polynomials.halved(inside[above])
-        of_cones = self.dirichlet.energy(np.ones(len(without)))
-        self.cover_energy = np.minimum(self.cover_energy, (np.sqrt(without) + np.sqrt(of_cones)) ** 2)
-        jumps = total(comm, uncovered) > 0 and not self._field.continuous
-        self.sampled = self._of_samples or jumps
 
 
 def _least(nodal: np.ndarray, dofs: np.ndarray) -> np.ndarray:

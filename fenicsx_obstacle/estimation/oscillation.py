@@ -19,8 +19,8 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.cell_data import Load
-from fenicsx_obstacle.estimation.piece_integrals import distance
-from fenicsx_obstacle.estimation.pieces import Division, Pieces, pieces_of
+from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
+from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
@@ -34,7 +34,7 @@ DEEPEST = 4
 
 
 def poincare(x: np.ndarray, area: np.ndarray, *, weighted: bool = False) -> np.ndarray:
-    """C with ||v|| <= C ||grad v|| for functions of mean zero in convex cells.
+    """C with ||v|| <= C ||grad v|| for functions of mean zero in convex cells, (E7).
 
     It is at most diameter/pi (Payne and Weinberger 1960, Bebendorf 2003). In triangles it is at most diameter/j_11
     (Laugesen and Siudeja 2010), 3/(4 pi) in the equilateral triangle of side 1 and 1/pi in
@@ -63,7 +63,7 @@ def poincare(x: np.ndarray, area: np.ndarray, *, weighted: bool = False) -> np.n
 
 
 class Oscillation:
-    """The load minus Pi f in each cell, without the tension.
+    """The load minus Pi f in each cell, without the tension, (E12).
 
     Attributes:
         norm: Bound of ||tau||_T.
@@ -97,7 +97,7 @@ class Oscillation:
             self._moments = load.moments * (area / simplices.size)[:, None]
             self.norm, self._mean = self.poincare * load.oscillation, sums(self._moments) / area
             linear = self._mean[:, None] + self.linear(slice(None))
-            self.beyond = np.sqrt(area) * np.add(*distance(load.pieces, linear, simplices.radius))
+            self.beyond = np.sqrt(area) * np.add(*load.pieces.distance(linear, simplices.radius))
             return
         self.rest = self.poincare * load.unknown
         self.norm = self.poincare * load.oscillation

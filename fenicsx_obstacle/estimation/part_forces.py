@@ -23,15 +23,14 @@ import numpy as np
 from fenicsx_obstacle.effects.boundary import OnPart
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation import piece_integrals
+from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.oscillation import poincare
-from fenicsx_obstacle.estimation.pieces import Division, Pieces, joined, pieces_of
+from fenicsx_obstacle.estimation.pieces import Pieces, joined
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.reactions import squared_norm
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
 from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals
-from fenicsx_obstacle.parallel import total
 
 # of facets by the dimension of the cells; a jump inside an edge is found to the length whose root counts
 DIVISION = {2: Division(24, 1e-2, 1e-7), 3: Division(5, 1e-2, 1e-3)}
@@ -112,10 +111,10 @@ class PartForces:
         inverse = reciprocals(ratio)
         one, other = np.ones((count, dim)), force.sum(axis=1) / (self.share * self.size) * inverse
         of_flux, of_spring = self.pieces
-        means = piece_integrals.mean(of_flux, one, radius), piece_integrals.mean(of_spring, corner, radius)
+        means = of_flux.mean(one, radius), of_spring.mean(corner, radius)
         mean = means[0] - means[1]
         (flux, flux_rest), (spring, spring_rest) = (
-            piece_integrals.distance(pieces, np.repeat(own[:, None], dim, axis=1), radius, factor)
+            pieces.distance(np.repeat(own[:, None], dim, axis=1), radius, factor)
             for pieces, own, factor in zip(self.pieces, means, (one, corner), strict=True)
         )
         # both at the same points where neither is divided
@@ -136,7 +135,7 @@ class PartForces:
     def lacking(
         self, u: np.ndarray, force: np.ndarray, least_tension: np.ndarray, friedrichs: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What the flux lacks of the forces of a P1 state, in each owned cell (local).
+        """What the flux lacks of the forces of a P1 state, in each owned cell, (E6) (local).
 
         Args:
             u: Its values at local dofs.
@@ -207,14 +206,14 @@ def part_forces(
     which = np.full((2, *shape), -1)
     for kind, fields in enumerate(given):
         for number, (_, part, _) in enumerate(fields):
-            which[kind][on_sides(simplices, data.facets[part])] = number
+            which[kind][simplices.on_sides(data.facets[part])] = number
     at_vertices = np.zeros(shape)
     np.add.at(at_vertices, points.at_vertices[:2], points.at_vertices[2])
     at_vertices[simplices.held] = 0.0
     cells, sides = np.nonzero((np.stack([*which, *bearing]) >= 0).any(axis=0) | (at_vertices != 0))
     corners = (sides[:, None] + np.arange(1, dim + 1)) % (dim + 1)
     x = simplices.x[cells[:, None], corners]
-    outer = on_sides(simplices, data.level.boundary_facets)[cells, sides]
+    outer = simplices.on_sides(data.level.boundary_facets)[cells, sides]
     nodal, pieces = np.zeros((2, len(cells), dim)), []
     for kind, fields in enumerate(given):
         found: list[tuple[np.ndarray, Pieces]] = []
@@ -233,19 +232,6 @@ def part_forces(
         nodal, tuple(pieces), ~simplices.held[cells, sides],
         None if simplices.radius is None else simplices.radius[cells[:, None], corners],
     )  # fmt: skip
-
-
-def on_sides(simplices: Simplices, facets: np.ndarray) -> np.ndarray:
-    """Whether the side opposite to each vertex is one of some local facets, which the rank of one of its two cells need
-    not know, shape (cells, vertices) (collective)."""
-    level, known = simplices.data.level, facets
-    inside = np.setdiff1d(facets[facets <= simplices.facets.max(initial=-1)], level.boundary_facets).astype(np.int32)
-    if total(level.comm, len(inside)) > 0 and level.comm.size > 1:
-        index_map = level.mesh.topology.index_map(simplices.dim - 1)
-        every = np.arange(simplices.facets.max(initial=-1) + 1, dtype=np.int32)
-        numbers = np.concatenate(level.comm.allgather(np.asarray(index_map.local_to_global(inside))))
-        known = np.append(facets, every[np.isin(np.asarray(index_map.local_to_global(every)), numbers)])
-    return simplices.on_sides(known)
 
 
 def _undivided(pieces: Pieces, points: np.ndarray, count: int) -> np.ndarray:

@@ -64,7 +64,7 @@ class PatchFlux:
         self._systems = PatchSystems(numbers, owner, zero, self._products(), up_to_constants=dim == 3)
 
     def nearest(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
-        """The sum of the fluxes on all patches (collective).
+        """The sum of the fluxes on all patches, (E11) (collective).
 
         Args:
             drops: What is to leave each corner less what flows out of it, with the sign changed: -int div sigma^a over

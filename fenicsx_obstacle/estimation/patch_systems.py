@@ -12,11 +12,10 @@ import numpy as np
 FLAT = (
     1e-13  # of the mean diagonal: keeps matrices of flat cells, and of vertices where parts of the mesh meet, regular
 )
-AT_ONCE = 20_000  # systems
 
 
 class PatchSystems:
-    """The matrices of all systems of this rank; nothing here is collective."""
+    """The inverse matrices of all systems of this rank; nothing here is collective."""
 
     def __init__(
         self,
@@ -27,7 +26,7 @@ class PatchSystems:
         *,
         up_to_constants: bool = False,
     ):
-        """Sum the matrices; unknowns of systems of the same size follow each other.
+        """Sum and invert the matrices; unknowns of systems of the same size follow each other.
 
         Args:
             numbers: Of the unknowns at the corners, shape (corners, n).
@@ -54,11 +53,12 @@ class PatchSystems:
             for k, m in {(i, j), (j, i)}:
                 values += np.bincount(row[numbers[:, k]] + column[numbers[:, m]], entries, len(values))
         self._place, self._zero = place[numbers], zero[order]
-        self._matrices = []
+        self._inverses = []
         for g, (n, systems) in enumerate(zip(sizes.tolist(), many.tolist(), strict=True)):
             matrix = values[blocks[g] : blocks[g + 1]].reshape(systems, n, n)
             is_zero = self._zero[starts[g] : starts[g + 1]].reshape(systems, n)
-            self._matrices.append(_regular(matrix, is_zero, up_to_constants=up_to_constants))
+            matrix = _regular(matrix, is_zero, up_to_constants=up_to_constants)
+            self._inverses.append(1 / matrix if n == 1 else np.linalg.inv(matrix))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The unknowns at the corners, shape (n, corners).
@@ -69,13 +69,11 @@ class PatchSystems:
         sums = np.bincount(self._place.ravel(), right.T.ravel(), len(self._zero))
         sums[self._zero] = 0.0
         found, start = np.empty(len(sums)), 0
-        for matrix in self._matrices:
-            systems, n = matrix.shape[:2]
-            for first in range(0, systems, AT_ONCE):
-                part = matrix[first : first + AT_ONCE]
-                end = start + len(part) * n
-                found[start:end] = np.linalg.solve(part, sums[start:end].reshape(len(part), n, 1)).ravel()
-                start = end
+        for inverse in self._inverses:
+            systems, n = inverse.shape[:2]
+            end = start + systems * n
+            found[start:end] = np.matmul(inverse, sums[start:end].reshape(systems, n, 1)).ravel()
+            start = end
         return found[self._place].T
 
 

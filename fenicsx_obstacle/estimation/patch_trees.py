@@ -50,13 +50,14 @@ class PatchTrees:
         exit_ = sides.held.any(axis=1)
         depth, parent, patch = np.full(count, -1), np.full(count, -1), np.empty(count, dtype=np.int64)
         up, down = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        claims, root_of, patches, level = np.empty(count, dtype=np.int64), np.empty(owned, dtype=np.int64), 0, 0
+        claims, patches, level = np.empty(count, dtype=np.int64), 0, 0
         while len(left := np.flatnonzero(depth < 0)):
             # one patch of each vertex at a time; it begins where something may leave, if that is anywhere
+            root_of = np.full(owned, -1)
             root_of[sides.vertex[left]] = left
             out = left[exit_[left]]
             root_of[sides.vertex[out]] = out
-            here, level = np.unique(root_of[sides.vertex[left]]), 0
+            here, level = root_of[root_of >= 0], 0
             depth[here], patch[here] = 0, patches + np.arange(len(here))
             patches += len(here)
             while len(here):

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import largest
 
 # the other vertices of a cell after each one
 OTHERS = {1: ((1,), (0,)), 2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
@@ -49,7 +49,6 @@ class Patches:
         sides = self._sides(simplices)
         self._trees = PatchTrees(sides, data.level.owned)
         self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
-        self._is_divided = total(self.comm, np.count_nonzero((sides.beside >= 0) & sides.held)) > 0
         self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
 
     def gather(self, *values: np.ndarray) -> np.ndarray:
@@ -109,8 +108,6 @@ class Patches:
         vertex, *found = self._to_owners(self._number, *keys, *(part.astype(np.int64) for part in held))
         key, is_held = np.stack(found[:dim], axis=1).ravel(), np.stack(found[dim:], axis=1).ravel() > 0
         beside = _pairs(*dense(key, dim * index_map.size_global))
-        # the ranks of its two cells need not both know that u is given on a facet
-        is_held[beside >= 0] |= is_held[beside[beside >= 0]]
         shape = len(vertex), dim
         return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
 
@@ -146,11 +143,11 @@ class Patches:
     def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
         """The edges from each vertex to the others of its corners, of tetrahedra (collective).
 
-        Facets on which u is given may divide the corners around an edge: each part of them has an edge of its own.
+        Facets on which u is given may divide the cells around an edge: each patch has edges of its own.
 
         Returns:
             Their numbers at the corners, shape (corners, 3), which begin anew at each rank and are different for the
-            two ends of an edge; the owned vertex of each; how many there are.
+            two ends of an edge; the patch of each; how many there are.
         """
         mesh = simplices.data.level.mesh
         mesh.topology.create_entities(1)
@@ -164,46 +161,14 @@ class Patches:
             keys.append(2 * between[:, every, there] + upper)
         found = np.stack(self._to_owners(*keys), axis=1)
         numbers, count = dense(found.ravel(), 2 * index_map.size_global)
-        numbers = numbers.reshape(found.shape)
-        if self._is_divided:
-            numbers, count = _divided(numbers, count, self._sides(simplices))
-        numbers = numbers[self._order]
-        vertex = np.empty(count, dtype=np.int64)
-        vertex[numbers] = self.vertex[self.patch][:, None]
-        return numbers, vertex, count
-
-
-def _divided(numbers: np.ndarray, count: int, sides: Sides) -> tuple[np.ndarray, int]:
-    """Numbers of edges at the corners, different in parts of the corners around an edge that are not connected across
-    facets, and how many there are (local).
-
-    Args:
-        numbers: The same in all corners around an edge, shape (corners, 3), in the order of `sides`.
-        count: How many there are.
-        sides: The facets of the corners.
-    """
-    is_cut, inside = np.zeros(count, dtype=bool), (sides.beside >= 0) & sides.held
-    for j in range(3):
-        is_cut[numbers[inside[:, j]][:, [(j + 1) % 3, (j + 2) % 3]]] = True
-    corner, k = np.nonzero(is_cut[numbers])
-    place = np.full(numbers.shape, -1)
-    place[corner, k] = label = np.arange(len(corner))
-    here, there = [], []  # the same edge in two corners with a common facet
-    for step in (1, 2):
-        side = (k + step) % 3
-        beside = np.where(sides.held[corner, side], -1, sides.beside[corner, side]) // 3
-        for m in range(3):
-            same = (beside >= 0) & (numbers[beside, m] == numbers[corner, k])
-            here.append(label[same])
-            there.append(place[beside[same], m])
-    ones, others, before = np.concatenate(here), np.concatenate(there), np.full(len(label), -1)
-    while not np.array_equal(label, before):
-        before, label = label, label.copy()
-        np.minimum.at(label, ones, before[others])
-    found = numbers.copy()
-    found[corner, k] = count + label
-    found, parts = dense(found.ravel(), count + len(corner))
-    return found.reshape(numbers.shape), parts
+        numbers = numbers.reshape(found.shape)[self._order]
+        patch = np.empty(count, dtype=np.int64)
+        patch[numbers] = self.patch[:, None]
+        if np.any(patch[numbers] != self.patch[:, None]):  # patches with a common edge
+            keys = numbers.astype(np.int64) * len(self.vertex) + self.patch[:, None]
+            every, numbers = np.unique(keys, return_inverse=True)
+            numbers, patch = numbers.reshape(keys.shape), every % len(self.vertex)
+        return numbers, patch, len(patch)
 
 
 def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
@@ -216,8 +181,6 @@ def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
 
 def _pairs(keys: np.ndarray, count: int) -> np.ndarray:
     """Of each of the numbers below `count` the place where the same one stands once more, -1 if it does not."""
-    every, last, first = np.arange(len(keys)), np.full(count, -1), np.full(count, -1)
-    last[keys] = every
-    ahead = last[keys] != every
-    first[keys[ahead]] = every[ahead]
-    return np.where(ahead, last[keys], first[keys])
+    every, times = np.arange(len(keys)), np.bincount(keys, minlength=count)
+    places = np.bincount(keys, every, count).astype(np.int64)  # the sum of both
+    return np.where(times[keys] > 1, places[keys] - every, -1)

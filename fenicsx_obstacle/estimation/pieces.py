@@ -1,65 +1,25 @@
-"""Enclosures of a datum in cells: polynomials on parts of the cells, with bounds of the remainder.
+"""A datum on simplices: polynomials on parts of them, with bounds of the remainder.
 
-A datum that is a polynomial on a cell is that polynomial. Where it is smooth, its interpolant of degree 2 or 4 stands
-for it, with a bound of the remainder from the derivatives of the next order; where a condition changes, a linear
-function, or the middle of its bounds. Cells where that is rough, as a jump runs through them, are divided: the parts
-need not be cells of any mesh.
+The datum is q + r, q polynomials and |r| bounded on each part. Means, distances and excesses of any datum, in cells or
+on facets, are made here. Where no bound of r is known, r counts 0: what makes of the datum a bound, has a word about
+these places. Integrals may have a linear weight, as in axial symmetry, which is given at the corners of the simplices;
+then means are divided by that of the weight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import reduce
-from math import factorial
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
-from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, rule
-from fenicsx_obstacle.estimation.simplex_geometry import inward, least_heights, longest_edges, sizes
+from fenicsx_obstacle.estimation.quadrature import blocks, rule
+from fenicsx_obstacle.estimation.rt1 import quadratics
+from fenicsx_obstacle.estimation.simplex_geometry import inward, least_heights, sizes
+from fenicsx_obstacle.estimation.simplices import integrals, reciprocals
 
-if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.data import Data
-
-NEGLIGIBLE_CURVATURE = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
-NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: an interpolant of degree 2 so near is enough
-THIN = 2e-3  # the same limit for the datum on parts that a condition cuts, times the root of their share
-APART = 3.0  # so many times further than a condition may change from a line, it is decided
-NARROW = 0.2  # of the range of a linear function: its line is no help where conditions may change further from it
-EXACT = 5e-13  # of its size: round-off, which conditions do not see
-BETTER = 0.9  # of half the distance of the bounds: the rest of a linear function that is worth while
-NEGLIGIBLE = 1e-9  # unless it is below this, of the largest value there
-DEEPEST = 8  # how often a part is divided on which no finite bounds are found
-MAX_PARTS = 200_000  # in a block of cells, or twice as many as it has cells
-FEW = 2000  # simplices that share such a limit, so that the parts of one do not depend on all others of the rank
-SHARP = 0.1  # of the largest value: what varies so much between samples may jump
-
-
-@dataclass(frozen=True)
-class Division:
-    """Rules for the subdivision of simplices.
-
-    Attributes:
-        depth: How often at most, where there are finite bounds.
-        rough: How far the datum may be from a polynomial, in parts of its range over a part.
-        share: Parts in which a condition changes are not divided if they are smaller, in parts of a simplex.
-        degree: Of interpolants: 4, or 2 where what counts is the distance to linear functions.
-        length: Where the mean of what an interpolant lacks counts times a length, beside the size of the datum times
-            that of the parts: this length.
-        slopes: Whether the slope of the difference counts. On thin parts, as between two cuts, the interpolant of a
-            smooth datum may be much steeper than the datum; then a linear function is taken.
-    """
-
-    depth: int
-    rough: float = 0.1
-    share: float = 1e-6
-    degree: int = 4
-    length: float = np.inf
-    slopes: bool = False
+LOWEST = -1e300  # where no lower bound is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,20 +98,26 @@ class Group:
         middle = np.where(finite, side, self.coefficients[:, 0])[:, None]
         return replace(self, coefficients=middle, rest=np.where(finite, 0.0, self.rest))
 
-    def above(self, linear: np.ndarray, sign: float) -> tuple[int, np.ndarray, np.ndarray]:
-        """Degree and Bernstein coefficients of sign times the polynomials less a linear function of each simplex; their
+    def above(self, state: np.ndarray, sign: float, least: int = 1) -> tuple[int, np.ndarray, np.ndarray]:
+        """Degree and Bernstein coefficients of sign times the polynomials less a function of each simplex; their
         round-off.
 
         Args:
-            linear: Its values at the corners of the simplices, shape (simplices, corners).
+            state: For each part the values of a linear function at the corners of its simplex, shape (parts, corners);
+                or of a function of P2 at the nodes of its triangle, shape (parts, 6).
             sign: 1 or -1.
+            least: The least degree of the result.
         """
-        degree, corners = max(self.degree, 1), linear.shape[1]
+        linear = state.shape[1] != 6
+        degree, corners = max(self.degree, least, 1 if linear else 2), state.shape[1] if linear else 3
         reference = polynomials.inner_points(corners, degree)
-        there = polynomials.combined(self.points(reference), linear[self.rows])
-        found = polynomials.coefficients(sign * self.values(reference) - there, corners, degree)
-        size = np.maximum(polynomials.row_size(self.coefficients), polynomials.row_size(linear[self.rows]))
-        return degree, found, polynomials.round_off(size[:, None], corners, degree)
+        points = self.points(reference)
+        if not linear:
+            points = quadratics(points.reshape(-1, 3)).T.reshape(*points.shape[:2], 6)
+        found = sign * self.values(reference) - polynomials.combined(points, state)
+        size = np.maximum(polynomials.row_size(self.coefficients), polynomials.row_size(state))
+        margin = polynomials.round_off(size[:, None], corners, degree)
+        return degree, polynomials.coefficients(found, corners, degree), margin
 
     def steepness(self, coefficients: np.ndarray, corners: np.ndarray, more: np.ndarray) -> np.ndarray:
         """Bound of the mean of |grad(datum - other functions)|^2 on the parts of triangles or tetrahedra.
@@ -239,82 +205,82 @@ class Pieces:
         for group in self.groups:
             yield from group.portions()
 
+    def mean(self, factor: np.ndarray, radius: np.ndarray | None = None) -> np.ndarray:
+        """The mean of q times a linear function over each simplex.
 
-def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
-    """A datum on segments, triangles or tetrahedra (collective where it is the first to need the distance).
+        Args:
+            factor: The linear functions at the corners, shape (simplices, corners).
+            radius: The weight of integrals there, if there is one.
+        """
+        found = np.zeros(len(factor))
+        for part in self.portions():
+            points, weights = rule(factor.shape[1] - 1, part.degree + 1 + (radius is not None))
+            values = part.values(points) * polynomials.combined(part.points(points), factor[part.rows])
+            part.add_to(found, part.share * integrals(values, part.weights(points, weights, radius)))
+        return found if radius is None else found * reciprocals(radius.mean(axis=1))
 
-    Args:
-        data: Of the problem.
-        datum: It, without parts.
-        corners: Shape (simplices, corners, coordinates).
-        cells: The owned cell that each lies in.
-        division: When simplices are divided.
-    """
-    here, names = data.here(datum), data.names(datum)
-    found = _Collected(len(corners), corners.shape[1])
-    if datum.uniform:
-        found.number(here.at(np.zeros((3, 1)), names)[0])
-        return found.pieces()
-    if not len(corners):
-        return found.pieces()  # a formula would be walked through for nothing
-    parts = Parts.whole(corners, cells)
-    last = max(DEEPEST, division.depth)
-    for split in range(last + 1):
-        wanted, count = [], 0
-        for some, near in _looks(here, names, parts, division, continuous=datum.continuous):
-            found.sampled |= near.sampled
-            open_ = near.settled & near.open(division, some)
-            found.rough[some.rows[open_]] = True
-            large = (some.share > division.share) | near.whole
-            divided = open_ & ((~near.finite & (split < DEEPEST)) | (large & (split < division.depth)))
-            found.take(some, near, near.settled & ~divided)
-            if divided.any():
-                wanted.append((some, near, divided))
-                count += parts.times * np.count_nonzero(divided)
-        if count > max(MAX_PARTS, 2 * found.count):
-            if len(corners) > FEW:
-                return _in_blocks(data, datum, corners, cells, division)
-            for some, near, divided in wanted:
-                found.take(some, near, divided)
-            break
-        if not wanted:
-            break
-        parts = reduce(Parts.with_, (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted))
-    return found.pieces()
+    def distance(
+        self, linear: np.ndarray, radius: np.ndarray | None = None, factor: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """How far a datum, times a factor, is from linear functions: ||.||_T/|T|^(1/2) in each simplex T.
 
+        Args:
+            linear: The linear functions at the corners, shape (simplices, corners).
+            radius: The weight of integrals there, if there is one.
+            factor: Linear functions that are factors of the datum; None: it has none.
 
-def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
-    """The same, block by block of `FEW` simplices."""
-    slices = list(blocks(len(corners), FEW))
-    found = [pieces_of(data, datum, corners[block], cells[block], division) for block in slices]
-    return Pieces(
-        [replace(group, rows=group.rows + block.start) for block, one in zip(slices, found, strict=True)
-         for group in one.groups],
-        np.concatenate([one.lower for one in found]), np.concatenate([one.upper for one in found]),
-        any(one.sampled for one in found), np.concatenate([one.rough for one in found]),
-    )  # fmt: skip
+        Returns:
+            The norm of the difference for q, and a bound of that of r times the factor.
+        """
+        squares, rests = np.zeros(len(linear)), np.zeros(len(linear))
+        for part in self.portions():
+            degree = max(part.degree + (factor is not None), 1)
+            points, weights = rule(linear.shape[1] - 1, 2 * degree + (radius is not None))
+            inside, values, rest = part.points(points), part.values(points), part.known_rest
+            if factor is not None:
+                values = values * polynomials.combined(inside, factor[part.rows])
+                rest = rest * polynomials.row_size(factor[part.rows])
+            apart = values - polynomials.combined(inside, linear[part.rows])
+            part.add_to(squares, part.share * integrals(apart**2, part.weights(points, weights, radius)))
+            part.add_to(rests, part.share * part.mean_weight(radius) * rest**2)
+        return np.sqrt(squares), np.sqrt(rests)
 
+    def highest_above(self, linear: np.ndarray, sign: float, round_off: float = 0.0) -> np.ndarray:
+        """Upper bounds of sign times a datum above a linear function in each simplex, 0 where that may be round-off.
 
-def _looks(
-    here: Field, names: Names, parts: Parts, division: Division, *, continuous: bool
-) -> Iterator[tuple[Parts, _Near]]:
-    """Parts and what is near a datum there: of many of them first by intervals alone, then again, of all together, of
-    those where that does not settle it."""
-    many, blurred = len(parts.rows) > AT_ONCE, []
-    for block in blocks(len(parts.rows)):
-        some = parts[block]
-        near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous, first=many)
-        blurred.append(block.start + np.flatnonzero(~near.settled))
-        yield some, near
-    unsettled = np.concatenate(blurred)
-    for block in blocks(len(unsettled)):
-        some = parts[unsettled[block]]
-        yield some, _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous)
+        Args:
+            linear: The linear functions at the corners, shape (simplices, corners).
+            sign: 1 or -1.
+            round_off: Of these functions.
+        """
+        found = np.full(len(linear), -np.inf)
+        for group in (one.no_less(sign) for one in self.groups):
+            degree, coefficients, margin = group.above(linear[group.rows], sign)
+            margin = margin + round_off
+            top = polynomials.largest(coefficients, linear.shape[1], degree) + group.known_rest
+            group.raise_to(found, np.where(np.abs(top) <= margin, 0.0, top + margin))
+        return found
 
+    def mean_above(self, linear: np.ndarray, sign: float, radius: np.ndarray | None) -> np.ndarray:
+        """A lower bound of the mean of sign times a datum above a linear function in each simplex.
 
-def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
-    """A datum on simplices; samples of it where no bounds are known."""
-    return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
+        Args:
+            linear: The linear functions at the corners, shape (simplices, corners).
+            sign: 1 or -1.
+            radius: The weight of integrals there, if there is one.
+        """
+        bottom = self.lower if sign > 0 else -self.upper
+        unknown = np.where(np.isfinite(bottom), bottom, LOWEST) - polynomials.row_max(linear)
+        found = np.zeros(len(linear))
+        for group in self.groups:
+            degree, coefficients, _ = group.above(linear[group.rows], sign)
+            points, weights = rule(linear.shape[1] - 1, degree + (radius is not None))
+            values = polynomials.evaluate(coefficients, points, degree)
+            above = integrals(values, group.weights(points, weights, radius))
+            weight, known = group.mean_weight(radius), np.isfinite(group.rest)
+            least = np.where(known, above - group.known_rest * weight, unknown[group.rows] * weight)
+            group.add_to(found, group.share * least)
+        return found if radius is None else found * reciprocals(radius.mean(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,35 +298,6 @@ class Range:
     sampled: bool
 
 
-def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Range:
-    """Bounds of a datum (collective where it is the first to need the distance); the arguments are those of
-    `pieces_of`. Simplices without finite bounds are divided."""
-    here, names = data.here(datum), data.names(datum)
-    if datum.uniform:
-        number = np.full(len(cells), here.at(np.zeros((3, 1)), names)[0])
-        return Range(number, number, sampled=False)
-    lower, upper, sampled = np.empty(len(cells)), np.empty(len(cells)), False
-    blurred = np.zeros(len(cells), dtype=bool)
-    for block in blocks(len(cells)):
-        known = _enclosed(here, names, corners[block], cells[block])
-        sampled |= isinstance(known, _Samples)
-        bounds, blurred[block] = known.by_intervals()
-        lower[block], upper[block] = _defined(bounds)
-    unsettled = np.flatnonzero(blurred)
-    for block in blocks(len(unsettled)):
-        rows = unsettled[block]
-        lower[rows], upper[rows] = _defined(_enclosed(here, names, corners[rows], cells[rows]).once())
-    infinite = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper)))
-    divided = pieces_of(data, datum, corners[infinite], cells[infinite], Division(0))
-    lower[infinite], upper[infinite] = divided.lower, divided.upper
-    return Range(lower, upper, sampled)
-
-
-def _defined(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds, infinite where a datum may have no value."""
-    return np.where(bounds.defined, bounds.lower, -np.inf), np.where(bounds.defined, bounds.upper, np.inf)
-
-
 def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:
     """Of data that hold on some simplices each: these, and the pieces there."""
     lower, upper, rough = np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool)
@@ -371,250 +308,3 @@ def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:
             group.rows[:] = rows[group.rows]
             groups.append(group)
     return Pieces(groups, lower, upper, any(pieces.sampled for _, pieces in parts), rough)
-
-
-class _Collected:
-    """Parts found so far."""
-
-    def __init__(self, count: int, corners: int):
-        self.count, self.corners, self.sampled = count, corners, False
-        self.rough = np.zeros(count, dtype=bool)
-        self._found: dict[tuple[int, bool, bool], list[tuple[Any, ...]]] = {}
-
-    def number(self, value: float) -> None:
-        """The same on all simplices."""
-        same, none = np.full(self.count, value), np.zeros(self.count)
-        all_of_it = np.ones(self.count)
-        self._found[0, True, True] = [(np.arange(self.count), None, all_of_it, same[:, None], none, same, same, none)]
-
-    def take(self, parts: Parts, near: _Near, wanted: np.ndarray) -> None:
-        """What is near the datum on some of the parts."""
-        for degree, smooth, chosen, coefficients in near.polynomials(wanted):
-            if len(chosen):
-                inside = None if parts.inside is None else parts.inside[chosen]
-                self._found.setdefault((degree, smooth, inside is None), []).append((
-                    parts.rows[chosen], inside, parts.share[chosen], coefficients, near.rest[chosen],
-                    near.lower[chosen], near.upper[chosen], near.steep[chosen],
-                ))  # fmt: skip
-
-    def pieces(self) -> Pieces:
-        """All of it."""
-        lower, upper, groups = np.full(self.count, np.inf), np.full(self.count, -np.inf), []
-        for (degree, smooth, whole), parts in self._found.items():
-            for some in _together(parts):
-                rows, corners, share, coefficients, rest, low, high, steep = some
-                group = Group(
-                    rows, None if whole else corners, share, degree, coefficients, rest, low, high, steep, smooth
-                )
-                group.lower_to(lower, group.lower)
-                group.raise_to(upper, group.upper)
-                groups.append(group)
-        return Pieces(groups, lower, upper, self.sampled, self.rough)
-
-
-def _together(found: list[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Arrays of parts joined to arrays of `AT_ONCE` parts at most; larger ones stay as they are, without a copy."""
-    while found:
-        sizes_ = np.cumsum([len(parts[0]) for parts in found])
-        count = max(int(np.searchsorted(sizes_, AT_ONCE, "right")), 1)
-        some, found = found[:count], found[count:]
-        if count == 1:
-            yield some[0]
-        else:
-            yield tuple(None if arrays[0] is None else np.concatenate(arrays) for arrays in zip(*some, strict=True))
-
-
-class _Near:
-    """What is near a datum on parts of simplices.
-
-    Attributes:
-        sampled: Whether this comes from samples.
-        settled: Whether a second look would find the same.
-        lower: Lower bound, infinite where none is known.
-        upper: Upper bound.
-        finite: Whether both are finite.
-        whole: Whether no condition changes there.
-        rest: Bound of its distance to a polynomial.
-        steep: As in `Group`.
-    """
-
-    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool, first: bool = False):
-        """Look for polynomials.
-
-        Args:
-            known: The datum.
-            parts: Where.
-            division: Says which interpolants are good enough.
-            continuous: Whether it is, for sure.
-            first: Whether bounds are found by intervals alone.
-        """
-        self._known, self._corners, self.sampled = known, parts.x.shape[1], isinstance(known, _Samples)
-        bounds, blurred = known.by_intervals() if first else (known.once(), np.zeros(len(parts.rows), dtype=bool))
-        self.settled = ~blurred
-        lower, upper = _defined(bounds)
-        self.lower, self.upper = np.maximum(lower, parts.least), np.minimum(upper, parts.most)
-        self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
-        self.whole = bounds.whole
-        self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
-        constant = self.finite & self.settled & (self.upper == self.lower) & (not self.sampled)
-        self.rest, self.steep = self._half(), np.where(constant, 0.0, np.inf)
-        smooth = bounds.whole & self.finite & self.settled
-        exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
-        for degree in np.unique(bounds.degree[exact]):
-            rows = np.flatnonzero(exact & (bounds.degree == degree))
-            self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
-        if (smooth & ~exact).any():
-            self._smooth(np.flatnonzero(smooth & ~exact), bounds, parts.x, division)
-        others = self.finite & self.settled & ~exact & (self.upper > self.lower)
-        for _, chosen, _ in self._found:
-            others[chosen] = False
-        cut = np.flatnonzero(others)
-        if len(cut):
-            at_corners, rest, steep = known.linear(cut)
-            near = rest < BETTER * self.rest[cut]
-            self._take(1, cut[near], at_corners[near], rest[near], steep[near])
-            far = cut[~near] if continuous else cut[~near & smooth[cut]]
-            if len(far):
-                self.steep[far] = bounds.derivative(1)[far]
-
-    def _half(self) -> np.ndarray:
-        return np.subtract(self.upper, self.lower, out=np.full(len(self.lower), np.inf), where=self.finite) / 2
-
-    def _smooth(self, rows: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
-        """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
-        x = x if len(rows) == len(x) else x[rows]
-        size = longest_edges(x)
-        height = least_heights(x, size)
-        good = np.zeros(len(rows), dtype=bool)
-        if division.degree == 2:
-            second, third = bounds.derivative(2)[rows], bounds.derivative(3)[rows]
-            largest = np.maximum(np.abs(self.lower), np.abs(self.upper))[rows]
-            near = np.flatnonzero(np.isfinite(second) & np.isfinite(third))
-            enough = np.maximum(
-                NEGLIGIBLE_CURVATURE * size[near] * second[near], NEGLIGIBLE_REMAINDER / division.length * largest[near]
-            )
-            good[near] = polynomials.REMAINDER[self._corners][2] * size[near] ** 2 * third[near] <= enough
-            self._near(2, rows[good], third[good], size[good], height[good])
-        far = ~good
-        if far.any():
-            there = self._known.some(rows[far]).once() if good.any() else bounds
-            second, fifth = (there.derivative(k) if good.any() else there.derivative(k)[rows] for k in (2, 5))
-            kept = np.ones(len(fifth), dtype=bool)
-            if division.slopes:  # linear functions with nearly the gradient of the datum need no height
-                kept = _steepness(self._corners, 4, size[far], height[far], fifth) <= 2 * size[far] * second
-            chosen = np.flatnonzero(far)[kept]
-            self._near(4, rows[chosen], fifth[kept], size[chosen], height[chosen])
-
-    def _near(self, degree: int, rows: np.ndarray, bound: np.ndarray, size: np.ndarray, height: np.ndarray) -> None:
-        """Let interpolants stand for the datum where they are nearer than the middle of its bounds.
-
-        Args:
-            degree: Of the interpolants.
-            rows: Parts.
-            bound: There of the derivative of the next order.
-            size: Of the longest edge.
-            height: The least one; thin parts may have none, up to round-off.
-        """
-        rest = polynomials.REMAINDER[self._corners][degree] * _scale(degree, size, bound)
-        steep = _steepness(self._corners, degree, size, height, bound)
-        better = rest < self.rest[rows]
-        self._interpolate(degree, rows[better], rest[better], steep[better])
-
-    def _interpolate(self, degree: int, chosen: np.ndarray, rest: np.ndarray, steep: np.ndarray) -> None:
-        """Let interpolants of a degree stand for the datum on some parts."""
-        if len(chosen):
-            values = self._known.values(degree, chosen)
-            coefficients = polynomials.coefficients(values, self._corners, degree)
-            margin = polynomials.round_off(values, self._corners, degree)
-            self._take(degree, chosen, coefficients, rest, steep, margin)
-
-    def _take(
-        self, degree: int, chosen: np.ndarray, coefficients: np.ndarray, rest: np.ndarray, steep: np.ndarray,
-        margin: np.ndarray | float = 0.0,
-    ) -> None:  # fmt: skip
-        """Let polynomials stand for the datum on some parts."""
-        self.rest[chosen], self.steep[chosen] = rest, steep
-        room = rest + margin
-        self.lower[chosen] = np.maximum(self.lower[chosen], polynomials.row_min(coefficients) - room)
-        self.upper[chosen] = np.minimum(self.upper[chosen], polynomials.row_max(coefficients) + room)
-        self._found.append((degree, chosen, coefficients))
-
-    def open(self, division: Division, parts: Parts) -> np.ndarray:
-        """Which parts are to be divided if they may be."""
-        size = np.maximum(np.abs(self.lower), np.abs(self.upper))
-        far = ~self.whole | (self.rest > 2 * division.rough * self._half())
-        if np.isfinite(division.length) and parts.inside is not None:
-            dim = parts.size - 1
-            h = (factorial(dim) * sizes(parts.x) / parts.share) ** (1 / dim)  # of the simplex, about
-            far &= division.length * parts.share ** (1 / dim) * self.rest > THIN * h * size
-        return ~self.finite | (far & (self.rest > NEGLIGIBLE * size))
-
-    def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:
-        """Some parts divided: along the line where a condition changes, if one is known, or halved."""
-        within = parts[chosen].within(self.lower[chosen], self.upper[chosen])
-        if not len(chosen):
-            return within.halved()
-        values, rest = self._known.cuts(chosen)
-        levels = APART * rest
-        line = levels < NARROW * np.ptp(values, axis=1)
-        levels = np.where(levels <= EXACT * polynomials.row_size(values), 0.0, levels)
-        return within[line].cut(values[line], levels[line]).with_(within[~line].halved())
-
-    def polynomials(self, wanted: np.ndarray) -> Iterator[tuple[int, bool, np.ndarray, np.ndarray]]:
-        """Degree, whether they are interpolants, parts and coefficients, of those that are wanted."""
-        rest = wanted.copy()
-        for degree, chosen, coefficients in self._found:
-            rest[chosen] = False
-            kept = wanted[chosen]
-            yield degree, True, *((chosen, coefficients) if kept.all() else (chosen[kept], coefficients[kept]))
-        chosen = np.flatnonzero(rest)
-        middle, finite = np.zeros(len(chosen)), self.finite[chosen]
-        middle[finite] = (self.lower[chosen[finite]] + self.upper[chosen[finite]]) / 2
-        if len(infinite := np.flatnonzero(~finite)):
-            values = self._known.values(0, chosen[infinite])[:, 0]
-            middle[infinite] = np.where(np.isfinite(values), values, 0.0)
-        yield 0, False, chosen, middle[:, None]
-
-
-def _scale(degree: int, size: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """size^(degree + 1) times a bound of the derivative of that order, infinite where none is known."""
-    return np.multiply(size ** (degree + 1), bound, out=np.full(len(size), np.inf), where=np.isfinite(bound))
-
-
-def _steepness(corners: int, degree: int, size: np.ndarray, height: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """Bound of the gradient of a datum minus its interpolant; the arguments are those of `_Near._near`."""
-    return _quotient(polynomials.STEEPNESS[corners][degree] * _scale(degree, size, bound), height, np.inf)
-
-
-def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:
-    """a/b, and a number where b is 0."""
-    return np.divide(a, b, out=np.full(len(a), otherwise), where=b > 0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Samples(Enclosed):
-    """What samples show of a datum of which no bounds are known; of conditions they show nothing."""
-
-    here: Field
-    corners: np.ndarray
-    names: Names
-    cells: np.ndarray
-
-    def once(self) -> Bounds:
-        samples = self.values(4, np.arange(len(self.corners)))
-        whole = np.ptp(samples, axis=1) <= SHARP * np.abs(samples).max(axis=1, initial=0.0)
-        lower, upper = samples.min(axis=1, initial=np.inf), samples.max(axis=1, initial=-np.inf)
-        return Bounds(lower, upper, np.full(len(samples), 4), whole, np.isfinite(samples).all(axis=1))
-
-    def truth(self) -> Truth:
-        unknown = np.ones(len(self.corners), dtype=bool)
-        return Truth(unknown, unknown)
-
-    def some(self, cells: np.ndarray) -> _Samples:
-        return _Samples(self.here, self.corners[cells], self.names, self.cells[cells])
-
-    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
-        points = polynomials.inner_points(self.corners.shape[1], degree)
-        x, dim = np.zeros((3, len(cells) * len(points))), self.corners.shape[2]
-        x[:dim] = (points @ self.corners[cells]).reshape(-1, dim).T
-        return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)

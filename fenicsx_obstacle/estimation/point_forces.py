@@ -25,7 +25,7 @@ AT_VERTEX = 1e-9  # of the length of a cell
 
 
 class PointForces:
-    """All forces at points.
+    """All forces at points, (E22).
 
     Attributes:
         given: Whether there are any; the others are None or empty if not.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation import piece_integrals
 from fenicsx_obstacle.estimation.cell_data import TENSION, in_cells, of_solver
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
@@ -47,7 +46,8 @@ class Reaction:
         return (self._of_solver * simplices.size / (simplices.dim + 1))[:, None] * u[simplices.dofs]
 
     def beyond(self, u: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Norms over each cell of what k u is beyond the solver's, u a P1 function by its values at local dofs (local).
+        """Norms over each cell of what k u is beyond the solver's, u a P1 function by its values at local dofs, (E26)
+        (local).
 
         Args:
             u: It.
@@ -62,8 +62,8 @@ class Reaction:
         if self.pieces is None:
             return np.sqrt(squared_norm(k[:, None] * (corner - mean[:, None]) - linear, area)), np.zeros(len(area))
         radius, root, ratio = simplices.radius, np.sqrt(area), simplices.size / area
-        means = piece_integrals.mean(self.pieces, corner, radius)
-        known, rests = piece_integrals.distance(self.pieces, linear + means[:, None], radius, corner)
+        means = self.pieces.mean(corner, radius)
+        known, rests = self.pieces.distance(linear + means[:, None], radius, corner)
         return root * known, root * (np.sqrt(ratio) * np.abs(means - k * mean) + rests)
 
     def energy(self, e: np.ndarray) -> np.ndarray:

@@ -83,6 +83,11 @@ def quadratics(points: np.ndarray) -> np.ndarray:
     return np.vstack([psi * (2 * psi - 1), 4 * psi[[1, 2, 0]] * psi[[2, 0, 1]]])
 
 
+def nodes_of(corners: np.ndarray) -> np.ndarray:
+    """Vertices, then the midpoints of the opposite edges."""
+    return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
+
+
 def against_nodes(products: np.ndarray) -> np.ndarray:
     """int f phi_i of the functions of P2 from int f psi_j psi_k, shape (cells, 6)."""
     vertices = 2 * np.einsum("cjj->cj", products) - products.sum(axis=2)

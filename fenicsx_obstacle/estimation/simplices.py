@@ -15,6 +15,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
+from fenicsx_obstacle.parallel import total
 
 ON_AXIS = 1e-12  # relative to the largest distance from it
 
@@ -56,7 +57,7 @@ class Simplices:
         self.facets = self.turned(facets[:, ::-1] if self.dim == 1 else facets)
         self.normal, self.area = inward(self.x), np.abs(signed)
         self.middle = np.stack([sums(self.x[:, :, k]) for k in range(self.dim)], axis=1) / (self.dim + 1)
-        self.part_of = last_on_sides(self.facets, data.held)
+        self.part_of = last_on_sides(self.facets, [self._known(facets) for facets in data.held])
         self.held = self.part_of >= 0
         fixed, values = data.fixed
         self.given = np.zeros(len(values.x.array), dtype=bool)
@@ -86,8 +87,18 @@ class Simplices:
         return np.hstack([self.turned(dofs[:, :3]), self.turned(dofs[:, 3:])])
 
     def on_sides(self, facets: np.ndarray) -> np.ndarray:
-        """Whether the side opposite to each vertex is one of some local facets, shape (cells, d + 1)."""
-        return last_on_sides(self.facets, [facets]) == 0
+        """Whether the side opposite to each vertex is one of some local facets, shape (cells, d + 1) (collective)."""
+        return last_on_sides(self.facets, [self._known(facets)]) == 0
+
+    def _known(self, facets: np.ndarray) -> np.ndarray:
+        """Some local facets, with those inside that the rank of one of their two cells does not know (collective)."""
+        level, count = self.data.level, self.facets.max(initial=-1) + 1
+        inside = np.setdiff1d(facets[facets < count], level.boundary_facets).astype(np.int32)
+        if total(level.comm, len(inside)) == 0 or level.comm.size == 1:
+            return facets
+        index_map, every = level.mesh.topology.index_map(self.dim - 1), np.arange(count, dtype=np.int32)
+        numbers = np.concatenate(level.comm.allgather(np.asarray(index_map.local_to_global(inside))))
+        return np.append(facets, every[np.isin(np.asarray(index_map.local_to_global(every)), numbers)])
 
     def edges(self, values: np.ndarray) -> np.ndarray:
         """Values at the edges of tetrahedra in the mesh's order, shape (cells, 6), by the two vertices in the order

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 
 from fenicsx_obstacle.estimation.quadrature import blocks
-from fenicsx_obstacle.estimation.rt1 import MASS, quadratics, reference_fields
+from fenicsx_obstacle.estimation.rt1 import MASS, nodes_of, quadratics, reference_fields
 from fenicsx_obstacle.estimation.simplices import lattice
-from fenicsx_obstacle.polynomials import coefficients, evaluate, from_chords, halvings, inner_points
+from fenicsx_obstacle.polynomials import evaluate, from_chords, halvings
 
 DENSE = 8  # parts of an edge, a power of 2
 FEW = 128  # cells per block: its arrays fit into the cache of a core
@@ -58,11 +58,6 @@ def _products() -> np.ndarray:
     for corner in SMALL:
         found[np.ix_(corner, corner)] += MASS
     return found
-
-
-def nodes_of(corners: np.ndarray) -> np.ndarray:
-    """Vertices, then the midpoints of the opposite edges."""
-    return np.vstack([corners, (corners[[1, 2, 0]] + corners[[2, 0, 1]]) / 2])
 
 
 def bernstein(u: np.ndarray) -> np.ndarray:
@@ -131,12 +126,6 @@ def above_chords(times: int, degree: int, polynomials: np.ndarray) -> tuple[np.n
         above = (to_chords.reshape(count * small, count) @ polynomials[block].T).reshape(count, small, -1)
         most[block], least[block] = above.max(axis=0).T, above.min(axis=0).T
     return most, least, polynomials @ to_chords.mean(axis=0).T
-
-
-@cache
-def of_nodes(degree: int) -> np.ndarray:
-    """Bernstein coefficients of the functions of P2, shape (6, n)."""
-    return coefficients(quadratics(inner_points(3, degree)), 3, degree)
 
 
 SLOPES, MEANS = _slopes(), _means()

@@ -1,0 +1,230 @@
+"""The statements of docs/bound_proofs.md: each has a function that names it, and a wrong line that a test finds."""
+
+import importlib
+import re
+from contextlib import closing
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from fenicsx_obstacle import Scene, polynomials
+from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.estimation.dirichlet_boundary import DirichletBoundary
+from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.estimation.rt1 import quadratics
+from fenicsx_obstacle.estimation.triangle_lattice import POINTS, SMALL
+from fenicsx_obstacle.parallel import largest, total
+from tests.conftest import COMM
+
+ROOT = Path(__file__).resolve().parent.parent
+ROW = re.compile(r"^\| \((E\d+)\) .* \| `([\w.]+)` \|$", re.MULTILINE)
+
+
+@pytest.mark.serial
+def test_statements_functions_and_mutants_name_each_other():
+    """The table, the statements, the docstrings and the comments of tests/mutants.toml have the same numbers."""
+    page = (ROOT / "docs/bound_proofs.md").read_text()
+    text, _, table = page.partition("## Statements and functions")
+    rows, mutants = ROW.findall(table), (ROOT / "tests/mutants.toml").read_text()
+    assert [number for number, _ in rows] == [f"E{k + 1}" for k in range(26)]
+    for number, function in rows:
+        module, *names = function.split(".")
+        folder = "answers" if module == "linear_outputs" else "estimation"
+        found = reduce(getattr, names, importlib.import_module(f"fenicsx_obstacle.{folder}.{module}"))
+        assert f"({number})" in found.__doc__, function
+        assert f"({number})" in text, number
+        assert f"# ({number})" in mutants, number
+
+
+def energy_of_polynomials(data, cells):
+    """||grad w||^2 of the polynomials of continued boundary values in each cell, from their values."""
+    simplices, corners = data.simplices, data.simplices.dim + 1
+    coefficients = polynomials.coefficients(data.values(cells, polynomials.inner_points(corners, 4)), corners, 4)
+    along = polynomials.slopes(coefficients, corners, 4)
+    points, weights = rule(corners - 1, 6)
+    there = np.stack([polynomials.evaluate(along[:, k], points, 3) for k in range(corners)], axis=2)
+    gradients = np.moveaxis(simplices.normal[:, cells], 0, 2) / (simplices.dim * simplices.area[cells])[:, None, None]
+    squares = np.sum((there @ gradients) ** 2, axis=2)
+    return simplices.area[cells] * (squares @ weights)
+
+
+@pytest.mark.parametrize(
+    ("shape", "element", "value"),
+    [
+        ("rectangle", "P1", "x^4 - x*y + y^2"),
+        ("rectangle", "P2", "x^4 - x^3*y + y^2"),
+        ("box", "P1", "x^4 - y*z + z^2"),
+    ],
+)
+def test_continued_boundary_values(shape, element, value):
+    """(E3): of polynomials of degree 4 they are polynomials, which are right on the boundary and whose energy and
+    volume are exact."""
+    scene = Scene(mesh={"shape": shape, "cells": 2, "perturb": 0.2}, tension=1, load=0, boundary=[{"value": value}])
+    with closing(SolverContext(scene.change({"solve.element": element}))) as context:
+        data = context.estimator.element.dirichlet
+        simplices, given = data.simplices, context.problem.data.fixed[1].x.array
+    cells, dim = np.arange(len(simplices.area)), simplices.dim
+    found = data.energy(np.ones(len(cells)))
+    assert largest(COMM, np.abs(found - energy_of_polynomials(data, cells))) <= 1e-8 * total(COMM, found)
+    points, weights = rule(dim, 4)
+    volume = simplices.area * (data.values(cells, points) @ weights)
+    assert largest(COMM, np.abs(data.volume - volume)) <= 1e-12 and largest(COMM, data.volume_rest) <= 1e-10
+    assert largest(COMM, np.abs(data.values(cells, points)).max(axis=1) - data.deviation) <= 1e-12
+    rows, opposite = np.nonzero(simplices.held)
+    for k in range(dim + 1):
+        there = rows[opposite == k]
+        on = np.insert(rule(dim - 1, 4)[0], k, 0.0, axis=1)
+        x = on @ simplices.x[there]
+        exact = simplices.values(scene.field(value, "value"), on, there)
+        assert x.shape[:2] == exact.shape
+        if element == "P1":
+            of_u = given[simplices.dofs[there]] @ on.T
+            assert largest(COMM, np.abs(of_u + data.values(there, on) - exact)) <= 1e-10
+
+
+@pytest.mark.parametrize("value", ["max(0, 0.3 - abs(x - 0.47))*y", "abs(x - 0.3)*(1 - y)"])
+def test_continued_kinks(value):
+    """(E3): the bound of the energy of a cone over an edge with kinks is above that of samples, by no more than 2.5."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 3}, tension=1, load=0, boundary=[{"value": value}])
+    with closing(SolverContext(scene)) as context:
+        data, given = context.estimator.element.dirichlet, context.problem.data.fixed[1].x.array
+        simplices, field = data.simplices, scene.field(value, "value")
+    energy, t = data.energy(np.ones(len(simplices.area))), (np.arange(4000) + 0.5) / 4000
+    for cell, tip in zip(*np.nonzero(simplices.held), strict=True):
+        i, j = (tip + 1) % 3, (tip + 2) % 3
+        on, step = np.zeros((len(t), 3)), 1e-6
+
+        def d(t, cell=cell, i=i, j=j, on=on):
+            on[:, i], on[:, j] = 1 - t, t
+            g = simplices.values(field, on, np.array([cell]))[0]
+            return g - on @ given[simplices.dofs[cell]]
+
+        x = simplices.x[cell]
+        length = np.linalg.norm(x[j] - x[i])
+        height, foot = 2 * simplices.area[cell] / length, (x[tip] - x[i]) @ (x[j] - x[i]) / length
+        slope = (d(t + step) - d(t - step)) / (2 * step * length)
+        squares = slope**2 + ((d(t) - (t * length - foot) * slope) / height) ** 2
+        sampled = length * height / 2 * squares.mean()
+        if np.count_nonzero(simplices.held[cell]) == 1:
+            assert sampled * (1 - 1e-3) <= energy[cell] + 1e-12 <= 2.5 * sampled + 2e-12
+
+
+def boundary(sides, faces, *, everywhere=False, radii=None, by_paths=np.inf):
+    sides = np.array(sides)
+    return DirichletBoundary(sides, float(np.prod(sides)), everywhere, np.array(faces), radii, by_paths)
+
+
+@pytest.mark.serial
+def test_friedrichs_constants_of_boxes():
+    """(E8): the eigenvalues of boxes are known; of a cylinder that of the disk and that of its height add up."""
+    assert boundary([1, 1], [2, 2], everywhere=True).friedrichs() == pytest.approx(1 / (np.pi * np.sqrt(2)))
+    assert boundary([2, 1], [1, 0]).friedrichs() == pytest.approx(4 / np.pi)
+    assert boundary([2, 3, 1], [1, 2, 0]).friedrichs() == pytest.approx(1 / np.hypot(np.pi / 4, np.pi / 3))
+    assert boundary([2, 1], [1, 0], radii=(0.0, 2.0)).friedrichs() == pytest.approx(2 / 2.404825557695773)
+    assert boundary([1, 1], [1, 0], radii=(1.0, 2.0)).friedrichs() == pytest.approx(2 * np.sqrt(2) / np.pi)
+    assert boundary([1, 1], [0, 0], by_paths=8.0).friedrichs() == 8.0
+
+
+@pytest.mark.serial
+def test_reach_of_a_load():
+    """(E15): -w'' = 1 between one or two ends, -div grad w = 1 in a square (max w = 0.07367) and in a strip beside a
+    face have solutions that are no larger; those of intervals and strips are reached."""
+    assert boundary([2], [2], everywhere=True).reach(1.0, 1.0) == pytest.approx(1 / 2)
+    assert boundary([2], [1]).reach(3.0, 1.0) == pytest.approx(3 * 2**2 / 2)
+    assert 0.07367 <= boundary([1, 1], [2, 2], everywhere=True).reach(1.0, 1.0) <= 0.09
+    assert 1 / 2 <= boundary([1, 1], [1, 0]).reach(1.0, 1.0) <= 1
+    assert 0.0562 <= boundary([1, 1, 1], [2, 2, 2], everywhere=True).reach(1.0, 1.0) <= 0.07
+    assert boundary([1, 1], [2, 2], everywhere=True).reach(6.0, 3.0) == pytest.approx(2 / (4 * np.pi))
+
+
+def largest_work(gram, work):
+    """sup work . e / (e . gram e)^(1/2) over e with which the work is known."""
+    return np.sqrt(max(work @ np.linalg.lstsq(gram, work, rcond=1e-12)[0], 0.0))
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("dim", [2, 3])
+def test_forces_on_facets(dim):
+    """(E6): a force with mean 0 on a facet of a cell, and one with any mean with ||e||_T beside it, against all
+    polynomials of degree 3; the bounds are at most 6 times the supremum."""
+    mesh = {"shape": "rectangle" if dim == 2 else "box", "cells": 1, "perturb": 0.2 if dim == 2 else 0.0}
+    sides = ["left", "bottom"] if dim == 2 else ["left", "bottom", "front"]
+    for flux in ("y - 0.37*y^2", "1 + y"):
+        scene = Scene(mesh=mesh, tension=1, foundation="1 + x" if flux == "1 + y" else 0,
+                      boundary=[{"on": sides, "value": 0}, {"on": "right", "flux": flux}])  # fmt: skip
+        with closing(SolverContext(scene, MPI.COMM_SELF)) as context:
+            element = context.estimator.element
+            parts, simplices, u = element.equilibration.parts, element.simplices, np.zeros(context.problem.level.dofs)
+        force = parts.forces(u)
+        for row, (cell, side) in enumerate(zip(parts.cells, parts.sides, strict=True)):
+            # the flux has the mean of the force, or none of it
+            has = np.zeros_like(force) if flux == "1 + y" else force
+            inside, outside = parts.lacking(u, has, np.ones(len(simplices.area)), 1.0)
+            nodes = polynomials.inner_points(dim + 1, 3)
+            basis = np.eye(len(nodes))
+            points, weights = rule(dim, 6)
+            gradients = simplices.normal[:, cell].T / (dim * simplices.area[cell])
+            along = polynomials.slopes(basis, dim + 1, 3)
+            slopes = sum(polynomials.evaluate(along[:, k], points, 2)[..., None] * gradients[k] for k in range(dim + 1))
+            area = simplices.area[cell]
+            gram = area * np.einsum("ipx,jpx,p->ij", slopes, slopes, weights)
+            there = polynomials.evaluate(basis, points, 3)
+            mass = area * np.einsum("ip,jp,p->ij", there, there, weights)
+            on, of_facet = rule(dim - 1, 8)
+            on = np.insert(on, side, 0.0, axis=1)
+            g = simplices.values(scene.field(flux, "flux"), on, np.array([cell]))[0]
+            if flux != "1 + y":
+                g = g - force[row].sum() / parts.size[row]
+            work = parts.size[row] * parts.share[row] * (polynomials.evaluate(basis, on, 3) * g) @ of_facet
+            if flux == "1 + y":  # (r, e) <= inside ||grad e|| + outside ||e||
+                bound, gram = np.hypot(inside[cell], outside[cell]), gram + mass
+            else:
+                bound = inside[cell] + outside[cell]
+            assert largest_work(gram, work) <= bound * (1 + 1e-9)
+            assert bound <= 6 * largest_work(gram, work)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_covers_beside_the_boundary(element):
+    """(E4): what lifts v_h above an obstacle beside nodes where u is given has no more energy and volume than bounded,
+    and bounds are at most 3 times that."""
+    obstacle = "1.5*x*(1 - x)*y*(1 - y)*(1 + x)"
+    scene = Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, load=-3, lower=obstacle, boundary=[{"value": 0}])
+    with closing(SolverContext(scene.change({"solve.element": element, "solve.eps": 1e-8}))) as context:
+        answer, found, problem = context.answer(bound=True), context.estimator.element, context.problem
+        (side,), simplices, field = found.obstacles, found.simplices, scene.field(obstacle, "lower")
+        terms = found.terms(answer.u.x.array, *touching(problem))
+        cells = np.flatnonzero(side.cover_energy)
+        if element == "P1":
+            parts = polynomials.halvings(3, 3)
+            linear, u = (terms.admissible[simplices.dofs[cells]] @ parts.reshape(-1, 3).T).reshape(-1, 64, 3), 0.0
+        else:
+            nodes, parts = answer.u.x.array[found.equilibration.nodes], POINTS[SMALL]
+            linear, u = found._lifted(nodes, terms.flux)[0][cells][:, SMALL], nodes[cells]
+    assert total(COMM, len(cells)) > 0 and answer.bound.certified
+
+    def excess(places):
+        """Obstacle less state at the same places in each part of each cell, shape (cells, parts, places)."""
+        where = (places @ parts).reshape(-1, 3)
+        values = simplices.values(field, where, cells)
+        values = values - (u @ quadratics(where) if element == "P2" else 0.0)
+        return values.reshape(len(cells), len(parts), -1) - linear @ places.T
+
+    places, h = polynomials.halvings(3, 2).mean(axis=1), 1e-5
+    middle = excess(places)
+    along = np.stack([(excess(places + h * np.array(d)) - middle) / h for d in ((-1, 1, 0), (-1, 0, 1))], axis=3)
+    x = (parts @ simplices.x[cells][:, None])[..., 1:, :] - (parts @ simplices.x[cells][:, None])[..., :1, :]
+    squares = np.sum(np.linalg.solve(x[:, :, None], along[..., None])[..., 0] ** 2, axis=3)
+    positive = middle > 1e-12
+    if element == "P2":  # but not on small triangles without a point where u is given
+        positive &= side._at_boundary(cells)[:, :, None]
+    energy, volume = (
+        simplices.area[cells] * np.where(positive, one, 0.0).mean(axis=(1, 2)) for one in (squares, middle)
+    )
+    sums = [total(COMM, one) for one in (energy, volume, side.cover_energy, side.cover_volume)]
+    assert sums[0] <= sums[2] * 1.01 <= 3 * sums[0] and sums[1] <= sums[3] * 1.01
+    assert np.all(energy <= 1.05 * side.cover_energy[cells] + 1e-12)
