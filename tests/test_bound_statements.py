@@ -5,6 +5,7 @@ import re
 from contextlib import closing
 from functools import reduce
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -188,43 +189,155 @@ def test_forces_on_facets(dim):
             assert bound <= 6 * largest_work(gram, work)
 
 
+class State:
+    """v_h of a scene with one lower obstacle: linear on 64 parts of each cell, but for u_h with P2.
+
+    Attributes:
+        found: The element of the bound.
+        side: The obstacle in it.
+        words: Of the bound.
+    """
+
+    def __init__(self, scene, obstacle, element):
+        """Solve (collective)."""
+        with closing(SolverContext(scene.change({"solve.element": element, "solve.eps": 1e-8}))) as context:
+            answer, self.found, self.element = context.answer(bound=True), context.estimator.element, element
+            (self.side,), self._field, self.words = self.found.obstacles, scene.field(obstacle, "lower"), answer.bound
+            u, simplices = answer.u.x.array, self.found.simplices
+            terms = self.found.terms(u, *touching(context.problem))
+            if element == "P1":
+                self.parts = polynomials.halvings(3, 3)
+                self._linear = (terms.admissible[simplices.dofs] @ self.parts.reshape(-1, 3).T).reshape(-1, 64, 3)
+            else:
+                self._nodes, self.parts = u[self.found.equilibration.nodes], POINTS[SMALL]
+                self._linear = self.found._lifted(self._nodes, terms.flux)[0][:, SMALL]
+
+    def excess(self, cells, places):
+        """Obstacle less state at the same places in each part of cells, shape (cells, parts, places)."""
+        where = (places @ self.parts).reshape(-1, 3)
+        values = self.found.simplices.values(self._field, where, cells)
+        if self.element == "P2":
+            values = values - self._nodes[cells] @ quadratics(where)
+        return values.reshape(len(cells), 64, -1) - self._linear[cells] @ places.T
+
+    def covered(self, cells):
+        """Whether v_h need not be above the obstacle in each part of cells, shape (cells, 64)."""
+        simplices = self.found.simplices
+        if self.element == "P2":
+            return self.side._at_boundary(cells)
+        return np.repeat(simplices.given[simplices.dofs[cells]].any(axis=1)[:, None], 64, axis=1)
+
+
 @pytest.mark.parametrize("element", ["P1", "P2"])
 def test_covers_beside_the_boundary(element):
     """(E4): what lifts v_h above an obstacle beside nodes where u is given has no more energy and volume than bounded,
     and bounds are at most 3 times that."""
     obstacle = "1.5*x*(1 - x)*y*(1 - y)*(1 + x)"
     scene = Scene(mesh={"shape": "rectangle", "cells": 4}, tension=1, load=-3, lower=obstacle, boundary=[{"value": 0}])
-    with closing(SolverContext(scene.change({"solve.element": element, "solve.eps": 1e-8}))) as context:
-        answer, found, problem = context.answer(bound=True), context.estimator.element, context.problem
-        (side,), simplices, field = found.obstacles, found.simplices, scene.field(obstacle, "lower")
-        terms = found.terms(answer.u.x.array, *touching(problem))
-        cells = np.flatnonzero(side.cover_energy)
-        if element == "P1":
-            parts = polynomials.halvings(3, 3)
-            linear, u = (terms.admissible[simplices.dofs[cells]] @ parts.reshape(-1, 3).T).reshape(-1, 64, 3), 0.0
-        else:
-            nodes, parts = answer.u.x.array[found.equilibration.nodes], POINTS[SMALL]
-            linear, u = found._lifted(nodes, terms.flux)[0][cells][:, SMALL], nodes[cells]
-    assert total(COMM, len(cells)) > 0 and answer.bound.certified
-
-    def excess(places):
-        """Obstacle less state at the same places in each part of each cell, shape (cells, parts, places)."""
-        where = (places @ parts).reshape(-1, 3)
-        values = simplices.values(field, where, cells)
-        values = values - (u @ quadratics(where) if element == "P2" else 0.0)
-        return values.reshape(len(cells), len(parts), -1) - linear @ places.T
-
+    state = State(scene, obstacle, element)
+    side, simplices, parts = state.side, state.found.simplices, state.parts
+    cells = np.flatnonzero(side.cover_energy)
+    assert total(COMM, len(cells)) > 0 and state.words.certified
     places, h = polynomials.halvings(3, 2).mean(axis=1), 1e-5
-    middle = excess(places)
-    along = np.stack([(excess(places + h * np.array(d)) - middle) / h for d in ((-1, 1, 0), (-1, 0, 1))], axis=3)
-    x = (parts @ simplices.x[cells][:, None])[..., 1:, :] - (parts @ simplices.x[cells][:, None])[..., :1, :]
-    squares = np.sum(np.linalg.solve(x[:, :, None], along[..., None])[..., 0] ** 2, axis=3)
-    positive = middle > 1e-12
-    if element == "P2":  # but not on small triangles without a point where u is given
-        positive &= side._at_boundary(cells)[:, :, None]
+    middle = state.excess(cells, places)
+    steps = [(state.excess(cells, places + h * np.array(d)) - middle) / h for d in ((-1, 1, 0), (-1, 0, 1))]
+    corners = parts @ simplices.x[cells][:, None]
+    edges = (corners[..., 1:, :] - corners[..., :1, :])[:, :, None]
+    squares = np.sum(np.linalg.solve(edges, np.stack(steps, axis=3)[..., None])[..., 0] ** 2, axis=3)
+    positive = (middle > 1e-12) & state.covered(cells)[:, :, None]
     energy, volume = (
         simplices.area[cells] * np.where(positive, one, 0.0).mean(axis=(1, 2)) for one in (squares, middle)
     )
     sums = [total(COMM, one) for one in (energy, volume, side.cover_energy, side.cover_volume)]
     assert sums[0] <= sums[2] * 1.01 <= 3 * sums[0] and sums[1] <= sums[3] * 1.01
     assert np.all(energy <= 1.05 * side.cover_energy[cells] + 1e-12)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_the_state_is_above_the_obstacle(element):
+    """(E13), (E19): v_h is nowhere below an obstacle with waves between the nodes, but where it is covered."""
+    obstacle = "0.3 - 2*((x - 0.5)^2 + (y - 0.5)^2) + 0.03*sin(23*x)*sin(19*y + 1)"
+    scene = Scene(mesh={"shape": "rectangle", "cells": 6}, tension=1, load=-1, lower=obstacle, boundary=[{"value": 0}])
+    state = State(scene, obstacle, element)
+    cells = np.arange(len(state.found.simplices.area))
+    beyond = state.excess(cells, np.vstack([polynomials.halvings(3, 2).mean(axis=1), np.eye(3)]))
+    assert state.words.certified
+    assert largest(COMM, np.where(state.covered(cells)[:, :, None], -1.0, beyond)) <= 1e-12
+
+
+@pytest.mark.serial
+def test_multipliers_of_p2_are_positive():
+    """(E18): lambda = 1 at one midpoint of each cell, 0 at the others, is -1 at a vertex. lambda_+ is the mean 1/3 and
+    a fourth of the rest, whose norm is (2 |T|)^(1/2)/3."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 2}, tension=1, load=-1, lower=-1, boundary=[{"value": 0}])
+    with closing(SolverContext(scene.change({"solve.element": "P2"}))) as context:
+        context.answer(bound=True)
+        element = context.estimator.element
+        pressure = np.zeros((len(element.simplices.area), 3))
+        pressure[:, 1] = 1.0
+        nodal = np.zeros((len(pressure), 6))
+        reduced = element._lifted(nodal, SimpleNamespace(lower=pressure, upper=np.zeros_like(pressure)))[2]
+    np.testing.assert_allclose(reduced, 0.75 * np.sqrt(2 * element.simplices.area) / 3)
+
+
+WAVES = "where(sin(400*x) > -0.5, 9, 1)"  # 9 on two thirds
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("tension", [WAVES, [[WAVES, 0], [0, WAVES]], "exp(x)*(2 + y)", [["exp(x)", 0.2], [0.2, 1]]])
+def test_distances(tension):
+    """(E20), (E25): ||A^(1/2) g - A^(-1/2) s||^2 of random g and s in RT0 is below its bound, which is less than twice
+    as large, whether conditions are undecided or the tension is smooth."""
+    scene = Scene(mesh={"shape": "rectangle", "cells": 2}, tension=tension, load=1, boundary=[{"value": 0}])
+    with closing(SolverContext(scene)) as context:
+        element = context.estimator.element
+    simplices, rng = element.simplices, np.random.default_rng(2)
+    g, normal = rng.normal(size=(len(simplices.area), 2)), rng.normal(size=(len(simplices.area), 3)) / 9
+
+    def fields(cells, points):
+        s = simplices.flux_fields(normal[cells], points, cells)
+        return np.broadcast_to(g[cells][:, None], s.shape), s
+
+    found = np.zeros(len(g))
+    element.tension.integrate_distances(found, fields, 1)
+    inside = rng.dirichlet(np.ones(3), 20_000)
+    every = np.arange(len(g))
+    rows = tension if isinstance(tension, list) else [[tension, 0], [0, tension]]
+    A = np.stack([[simplices.values(scene.field(str(one), "tension"), inside, every) for one in row] for row in rows])
+    A = np.moveaxis(A, (0, 1), (2, 3))
+    of_g, of_s = fields(every, inside[None])
+    away = (A @ of_g[..., None])[..., 0] - of_s
+    exact = simplices.area * np.sum(away * np.linalg.solve(A, away[..., None])[..., 0], axis=2).mean(axis=1)
+    assert np.all(exact <= 1.02 * found) and np.all(found <= 2 * exact)
+
+
+@pytest.mark.serial
+def test_what_foundations_are_beyond_the_solvers():
+    """(E26): ||k u - k_T mean u|| of a P1 function u, k_T being the solver's; (E5): the same against polynomials e of
+    degree 3 with ||grad e||^2 + ||k^(1/2) e||^2 = 1."""
+    k = f"1e4*({WAVES})"
+    scene = Scene(mesh={"shape": "rectangle", "cells": 2}, tension=1, foundation=k, load=1)
+    with closing(SolverContext(scene)) as context:
+        answer, problem = context.answer(bound=True), context.problem
+        element, u = context.estimator.element, answer.u.x.array
+        terms = element.terms(u, *touching(problem))
+    simplices, reaction = element.simplices, element.equilibration.reaction
+    inside, every = np.random.default_rng(2).dirichlet(np.ones(3), 20_000), np.arange(len(simplices.area))
+    corner = u[simplices.dofs]
+    there = simplices.values(scene.field(k, "foundation"), inside, every)
+    beyond = there * (corner @ inside.T) - (reaction._of_solver * corner.mean(axis=1))[:, None]
+    exact, found = (
+        np.sqrt(simplices.area * (beyond**2).mean(axis=1)),
+        sum(reaction.beyond(u, np.zeros((len(u), 3))[:1])),
+    )
+    assert np.all(exact <= 1.02 * found) and np.all(found <= 4 * exact)
+    basis = np.eye(10)
+    values, along = polynomials.evaluate(basis, inside, 3), polynomials.slopes(basis, 3, 3)
+    slopes = np.stack([polynomials.evaluate(along[:, m], inside, 2) for m in range(3)], axis=2)
+    weight = element._lacking(u, terms.flux)[0]
+    for cell in every:
+        gradients = slopes @ (simplices.normal[:, cell].T / (2 * simplices.area[cell]))
+        gram = np.einsum("ipx,jpx->ij", gradients, gradients) + (values * there[cell]) @ values.T
+        gram *= simplices.area[cell] / len(inside)
+        work = simplices.area[cell] * (values * beyond[cell]).mean(axis=1)
+        assert largest_work(gram, work) <= 1.02 * weight[cell]
