@@ -21,7 +21,7 @@ from fenicsx_obstacle.estimation.cell_data import Tension
 from fenicsx_obstacle.estimation.part_forces import PartForces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.simplices import Simplices, integrals, next_, previous, reciprocals, sums
+from fenicsx_obstacle.estimation.simplices import Simplices, integrals, reciprocals, sums
 
 
 class AxialFlux:
@@ -103,34 +103,30 @@ class AxialPatchFlux(PatchFlux):
         """
         assert simplices.radius is not None
         radius, (points, weights) = simplices.radius, rule(2, 3)
-        per_edge = reciprocals((next_(radius) + previous(radius)) / 2)
+        per_edge = reciprocals((sums(radius)[:, None] - radius) / 2)
         weights = weights * polynomials.combined(points[None], radius)
         arms = [points @ simplices.x - simplices.x[:, k, None] for k in range(3)]
         # int mu^(-1) tau_i . tau_j of the fluxes tau_i with r tau_i flowing 1 out opposite to vertex i
-        products = np.empty((3, 3, len(radius)))
+        self._of_fluxes = np.empty((3, 3, len(radius)))
         for i in range(3):
             for j in range(i + 1):
                 found = integrals(np.einsum("cpx,cpx->cp", arms[i], arms[j]), weights)
-                products[i, j] = products[j, i] = found * per_edge[:, i] * per_edge[:, j]
-        products /= 4 * simplices.area * mu
-        # at the corner (a, b, c) of C, which flows out opposite to b and in opposite to c, with both of these fluxes
-        self._with_out, self._with_into = np.empty(radius.shape), np.empty(radius.shape)
-        for a, (b, c) in enumerate(((1, 2), (2, 0), (0, 1))):
-            self._with_out[:, a] = products[b, b] - products[b, c]
-            self._with_into[:, a] = products[b, c] - products[c, c]
-        # the shares that the ends of an edge have of the flux of a target
-        mean = sums(radius)[:, None]
-        self._factors = (2 * radius + previous(radius)) / mean, (2 * radius + next_(radius)) / mean
+                self._of_fluxes[i, j] = self._of_fluxes[j, i] = found * per_edge[:, i] * per_edge[:, j]
+        self._of_fluxes /= 4 * simplices.area * mu
+        self._radius = radius
         super().__init__(simplices, parts, lambda vectors: vectors / mu)
 
-    def _against(self, fluxes: list[np.ndarray], beta: np.ndarray) -> list[np.ndarray]:
-        """See `PatchFlux._against`."""
-        out, into = (
-            target * factor - flux
-            for target, factor, flux in zip((next_(beta), previous(beta)), self._factors, fluxes, strict=True)
-        )
-        return [out * self._with_out + into * self._with_into]
+    def _weigh(self, simplices: Simplices) -> np.ndarray:
+        """See `PatchFlux._weigh`."""
+        return self._of_fluxes
 
-    def _products(self) -> Iterator[tuple[int, int, np.ndarray]]:
+    def _target(self, beta: np.ndarray, a: int, k: int) -> np.ndarray:
+        """See `PatchFlux._target`: the shares that the ends of an edge have."""
+        return beta[:, k] * (1 + (self._radius[:, a] - self._radius[:, k]) / sums(self._radius))
+
+    def _products(self, simplices: Simplices) -> Iterator[tuple[int, int, np.ndarray]]:
         """See `PatchFlux._products`."""
-        yield 0, 0, self._patches.gather(self._with_out - self._with_into)[0]
+        part = np.empty(self._radius.shape)
+        for a, (b, c) in enumerate(self._others):
+            part[:, a] = self._gram[b, b] - 2 * self._gram[b, c] + self._gram[c, c]
+        yield 0, 0, self._patches.gather(part)[0]

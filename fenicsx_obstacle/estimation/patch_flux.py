@@ -16,6 +16,7 @@ balance, so that nothing depends on how accurate it is.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import reduce
 
 import numpy as np
 
@@ -50,9 +51,7 @@ class PatchFlux:
         self._others, self._streams = OTHERS[dim], STREAMS[dim]
         if not self._streams:
             return
-        x = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0)
-        self._from_middle = [np.ascontiguousarray(x[:, :, k]) for k in range(dim + 1)]
-        self._scale = 1 / (dim**2 * simplices.area)
+        self._gram = self._weigh(simplices)
         if dim == 2:
             numbers, owner, count = patches.patch[:, None], np.arange(len(patches.vertex)), len(patches.vertex)
         else:
@@ -61,7 +60,7 @@ class PatchFlux:
         for k in range(dim):  # functions that flow through a facet
             through = [j for j, both in enumerate(self._streams) if k in both]
             zero[numbers[patches.free_boundary[:, k]][:, through]] = True
-        self._systems = PatchSystems(numbers, owner, zero, self._products(), up_to_constants=dim == 3)
+        self._systems = PatchSystems(numbers, owner, zero, self._products(simplices), up_to_constants=dim == 3)
 
     def nearest(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
         """The sum of the fluxes on all patches, (E11) (collective).
@@ -94,28 +93,44 @@ class PatchFlux:
                 normal[:, k] += flux[:, a]
         return normal, left_over
 
-    def _against(self, fluxes: list[np.ndarray], beta: np.ndarray) -> list[np.ndarray]:
-        """-int mu^(-1) C . (sigma^a - target) for each C at a corner, each of shape (cells, d + 1) (local)."""
-        y, found = self._from_middle, [np.empty(beta.shape) for _ in self._streams]
-        target = sum(beta[:, k] * y[k] for k in range(len(y)))
-        for a, others in enumerate(self._others):
-            # d |T| times the mean of sigma^a - target in the cell
-            mean = target - beta[:, a] * y[a]
-            for flux, k in zip(fluxes, others, strict=True):
-                mean -= flux[:, a] * y[k]
-            weighted = self._weighted(mean)
-            along = [np.einsum("xc,xc->c", y[k], weighted) for k in others]
-            for right, (out, into) in zip(found, self._streams, strict=True):
-                right[:, a] = (along[out] - along[into]) * self._scale
+    def _weigh(self, simplices: Simplices) -> np.ndarray:
+        """int mu^(-1) tau_i . tau_j of the fluxes tau_i that flow 1 out opposite to vertex i, up to one number in each
+        cell, shape (d + 1, d + 1, cells) (local)."""
+        y, count = self._from_middle(simplices), len(self._others)
+        found = np.empty((count, count, len(simplices.area)))
+        for i in range(count):
+            weighted = self._weighted(y[i]) / (simplices.dim**2 * simplices.area)
+            for j in range(i + 1):
+                found[i, j] = found[j, i] = np.einsum("xc,xc->c", y[j], weighted)
         return found
 
-    def _products(self) -> Iterator[tuple[int, int, np.ndarray]]:
+    def _target(self, beta: np.ndarray, a: int, k: int) -> np.ndarray:
+        """The flux of the target at the corners of vertices a through the facets opposite to vertices k (local)."""
+        return beta[:, k]
+
+    def _against(self, fluxes: list[np.ndarray], beta: np.ndarray) -> list[np.ndarray]:
+        """-int mu^(-1) C . (sigma^a - target) for each C at a corner, each of shape (cells, d + 1) (local)."""
+        found, gram = [np.empty(beta.shape) for _ in self._streams], self._gram
+        for a, others in enumerate(self._others):
+            away = [(k, self._target(beta, a, k) - flux[:, a]) for flux, k in zip(fluxes, others, strict=True)]
+            for right, (out, into) in zip(found, self._streams, strict=True):
+                i, j = others[out], others[into]
+                right[:, a] = reduce(np.add, ((gram[i, k] - gram[j, k]) * one for k, one in away))
+        return found
+
+    def _products(self, simplices: Simplices) -> Iterator[tuple[int, int, np.ndarray]]:
         """int mu^(-1) C . C of two functions at the corners (collective)."""
-        y, streams = self._from_middle, self._streams
+        y, streams, scale = self._from_middle(simplices), self._streams, 1 / (simplices.dim**2 * simplices.area)
         for i in range(len(streams)):
             for j in range(i, len(streams)):
-                part = np.empty((len(self._scale), len(self._others)))
+                part = np.empty((len(scale), len(self._others)))
                 for a, others in enumerate(self._others):
                     one, other = (y[others[streams[k][1]]] - y[others[streams[k][0]]] for k in (i, j))
-                    part[:, a] = np.einsum("xc,xc->c", one, self._weighted(other)) * self._scale
+                    part[:, a] = np.einsum("xc,xc->c", one, self._weighted(other)) * scale
                 yield i, j, self._patches.gather(part)[0]
+
+    @staticmethod
+    def _from_middle(simplices: Simplices) -> list[np.ndarray]:
+        """Coordinates of each vertex less those of the middle, shape (d, cells)."""
+        y = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0)
+        return [np.ascontiguousarray(y[:, :, k]) for k in range(y.shape[2])]

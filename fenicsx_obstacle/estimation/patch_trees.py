@@ -46,7 +46,7 @@ class PatchTrees:
             owned: Number of vertices.
         """
         count, dim = self._shape = sides.held.shape
-        linked = np.where(sides.held, -1, sides.beside)
+        linked = np.where(sides.held, -1, sides.beside).ravel()
         exit_ = sides.held.any(axis=1)
         depth, parent, patch = np.full(count, -1), np.full(count, -1), np.empty(count, dtype=np.int64)
         up, down = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
@@ -62,15 +62,15 @@ class PatchTrees:
             patches += len(here)
             while len(here):
                 level += 1
-                away = linked[here].ravel()
-                source = np.repeat(here * dim, dim) + np.tile(np.arange(dim), len(here))
-                source, away = source[away >= 0], away[away >= 0]
-                new = depth[away // dim] < 0
-                source, away = source[new], away[new]
-                claims[away // dim] = source
-                first = claims[away // dim] == source  # one of those that reach it
-                source, away = source[first], away[first]
-                here, there = away // dim, source // dim
+                source = (here[:, None] * dim + np.arange(dim)).ravel()
+                away = linked[source]
+                corner = away // dim
+                new = (away >= 0) & (depth[corner] < 0)
+                source, away, corner = source[new], away[new], corner[new]
+                claims[corner] = source
+                first = claims[corner] == source  # one of those that reach it
+                source, away, here = source[first], away[first], corner[first]
+                there = source // dim
                 depth[here], parent[here], patch[here] = level, there, patch[there]
                 up[here], down[here] = away, source
         self.order = np.argsort(depth.astype(np.int16), kind="stable")

@@ -99,15 +99,15 @@ class Patches:
         facets = facets.reshape(simplices.facets.shape)
         keys = []
         for j in range(dim):
-            facet, key = facets[:, others[:, j]], np.zeros(facets.shape, dtype=np.int64)
+            facet = np.take(facets, others[:, j], axis=1) * dim
             for k in range(dim):  # which of the vertices of the facet this is
                 if k != j:
-                    key += self._number[:, others[:, k]] < self._number
-            keys.append(facet * dim + key)
-        held = [simplices.held[:, others[:, j]] for j in range(dim)]
-        vertex, *found = self._to_owners(self._number, *keys, *(part.astype(np.int64) for part in held))
-        key, is_held = np.stack(found[:dim], axis=1).ravel(), np.stack(found[dim:], axis=1).ravel() > 0
-        beside = _pairs(*dense(key, dim * index_map.size_global))
+                    facet += np.take(self._number, others[:, k], axis=1) < self._number
+            keys.append(2 * facet + np.take(simplices.held, others[:, j], axis=1))
+        vertex, *keys = self._to_owners(self._number, *keys)
+        key = np.stack(keys, axis=1).ravel()
+        is_held = key % 2 > 0
+        beside = _pairs(*dense(key // 2, dim * index_map.size_global))
         shape = len(vertex), dim
         return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
 
@@ -181,6 +181,6 @@ def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
 
 def _pairs(keys: np.ndarray, count: int) -> np.ndarray:
     """Of each of the numbers below `count` the place where the same one stands once more, -1 if it does not."""
-    every, times = np.arange(len(keys)), np.bincount(keys, minlength=count)
+    every = np.arange(1, len(keys) + 1)
     places = np.bincount(keys, every, count).astype(np.int64)  # the sum of both
-    return np.where(times[keys] > 1, places[keys] - every, -1)
+    return places[keys] - every - 1
