@@ -28,10 +28,10 @@ from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
-from fenicsx_obstacle.show.cost_tables import duration
 from fenicsx_obstacle.show.figures import BLUE, COLOURS, INK, MARKERS, VERMILION, figure
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_domain, draw_lines, triangles
 from fenicsx_obstacle.show.newton import animate_newton
+from fenicsx_obstacle.show.tables import duration
 from fenicsx_obstacle.studies.price import cheapest, relative, solved
 
 ROOT = Path(__file__).parent.parent

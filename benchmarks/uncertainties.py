@@ -20,6 +20,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.answers.uncertainty import with_uncertainties
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.effects.domain.load import Load
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
@@ -140,7 +141,7 @@ def grid(ends: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 def compared(scene: Scene, true: Mapping[str, float]) -> list[tuple[str, float, float | None, str]]:
     """Quantity, true error, stated error and verdict."""
     with closing(SolverContext(scene)) as context:
-        record = context.answer(errors=False, uncertainty=True).record
+        record = with_uncertainties(context.answer(errors=False), context.problem.data).record
     found, rows = record["uncertainty"], []
     if "energy" not in found:
         raise SystemExit(f"{scene.name}: {found['reason']}")

@@ -70,7 +70,7 @@ def solve(
     from fenicsx_obstacle.answers.solve import solve
     from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.report import report_command
+    from fenicsx_obstacle.show.report import report_answer
 
     folder = output or Path("out") / scene.name
     check_places(folder, json_file)
@@ -80,7 +80,7 @@ def solve(
             restart=restart, keep=folder if scene.time is not None else None, uncertainty=uncertainty,
         )  # fmt: skip
         answer.save(folder)
-        answer, drawn = report_command(answer, folder, STARTED, picture=picture, newton=newton)
+        answer, drawn = report_answer(answer, folder, picture=picture, newton=newton, started=STARTED)
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
@@ -265,7 +265,7 @@ def plot(result: Path, output: Path | None, along: str | None, compare: tuple[st
     from fenicsx_obstacle.show.report import report_answer
 
     answer = Answer.read(result)
-    tell(report_answer(answer, result, picture=True) if output is None else answer.plot(output).said)
+    tell(report_answer(answer, result, picture=True)[1] if output is None else answer.plot(output).said)
 
 
 @commands.command()
@@ -358,6 +358,6 @@ def demo(output: Path) -> None:
 
 
 def _read(place: str, options: dict[str, Any]) -> Any:
-    from fenicsx_obstacle.answers.changes import changed
+    from fenicsx_obstacle.scenes.catalogue import changed
 
     return changed(place, options)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import difflib
+import io
 import math
 import unicodedata
 from collections.abc import Mapping, Sequence
@@ -128,3 +130,12 @@ def shown(value: Any) -> str:
 
     text = " ".join(repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
+
+
+def csv_of(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as text, a line each, with one head for all; None is empty."""
+    text, heads = io.StringIO(), dict.fromkeys(key for row in rows for key in row)
+    writer = csv.DictWriter(text, list(heads), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

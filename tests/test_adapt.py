@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
-from fenicsx_obstacle.answers.budget import Budget
+from fenicsx_obstacle.answers.adapt import Budget
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM, membrane, slow_except
 
@@ -162,6 +162,6 @@ def test_picture_of_the_bound(tmp_path, dim):
         3: lambda: solve(membrane(mesh={"shape": "box", "cells": 4}, load=1), bound=True),
     }[dim]()
     answer.save(tmp_path)
-    said = report_answer(answer, tmp_path, picture=True)
+    _, said = report_answer(answer, tmp_path, picture=True)
     assert (tmp_path / "bound.png").stat().st_size > 10_000
     assert "of the cells contribute half of the bound" in said

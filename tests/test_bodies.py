@@ -25,10 +25,10 @@ from fenicsx_obstacle import (
     solve,
     study,
 )
+from fenicsx_obstacle.answers.bodies import _nodes_across
 from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.scenes.body_report import _nodes_across
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.show.render import EYE, axes_of_view

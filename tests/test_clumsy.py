@@ -13,10 +13,10 @@ import pytest
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
-from fenicsx_obstacle.answers.changes import changed
 from fenicsx_obstacle.console import tolerance_status
 from fenicsx_obstacle.errors import NOT_REACHED
 from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.show.figures import heading
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.text import one_line
@@ -86,7 +86,7 @@ def _with_bound(scene, folder):
     """What is said of an answer whose bound is 0."""
     answer = solve(scene, bound=True, cells=4)
     answer.save(folder)
-    return report_answer(answer, folder, picture=True)
+    return report_answer(answer, folder, picture=True)[1]
 
 
 def test_headings():

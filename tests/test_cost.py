@@ -12,7 +12,7 @@ from fenicsx_obstacle import Scene
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.parallel import forget_peak_memory, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
-from fenicsx_obstacle.show.cost_tables import duration, megabytes
+from fenicsx_obstacle.show.tables import duration, megabytes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
@@ -136,7 +136,7 @@ def test_ladder_of_a_string(folder):
 @pytest.mark.slow
 def test_without_an_exact_solution(folder, monkeypatch):
     """Errors are against the finest solution, whose own bound is told, and those of fine meshes are smaller."""
-    from fenicsx_obstacle.show.cost_tables import against
+    from fenicsx_obstacle.show.cost import against
 
     monkeypatch.setattr(cost, "MAP_MESHES", 0)
     _, rows = study(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")

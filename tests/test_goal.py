@@ -127,7 +127,7 @@ def test_derivatives():
     def values(t):
         moved = answer.u.copy()
         moved.x.array[:] += t * np.sin(level.points[0] + 2 * level.points[1])
-        return report.evaluate(moved, answer.pressure, answer.contact, zero)
+        return report.evaluate({"u": moved, "p": answer.pressure, "contact": answer.contact}, zero)
 
     ends, t = [values(t) for t in (1e-6, -1e-6)], 1e-6
     values(0.0)

@@ -63,11 +63,10 @@ def package(folder, *names):
 
 HEAVY = {"matplotlib", "pyvista", "slepc4py", "gmsh", "PIL", "tests"}
 UNWANTED = {
-    "time": package("answers", "time_stepper", "checkpoint", "steps") | package("scenes", "time_bounds")
-    | package("discrete", "data_within_steps"),
+    "time": package("answers", "time_stepper", "steps") | package("discrete", "data_within_steps"),
     "reports": package("scenes", "functionals") | package("discrete", "distance"),
-    "Newton at work": package("answers", "iterates") | package("show", "newton"),
-    "bodies": package("answers", "bodies") | package("scenes", "bodies", "body_report") | package("forms", "elasticity")
+    "Newton at work": package("show", "newton"),
+    "bodies": package("answers", "bodies") | package("scenes", "bodies") | package("forms", "elasticity")
     | package("discrete", "contact_nodes", "rigid", "vector_levels", "vector_problem")
     | package("problems", "vector_valued") | package("fields", "vector", "contact_table"),
     "drift and parts of the boundary": package("discrete", "drift", "parts"),

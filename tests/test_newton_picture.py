@@ -7,8 +7,7 @@ import pytest
 from PIL import Image
 
 from fenicsx_obstacle import solve
-from fenicsx_obstacle.answers.iterates import iterates
-from fenicsx_obstacle.show.newton import animate_newton
+from fenicsx_obstacle.show.newton import animate_newton, iterates
 from tests.conftest import COMM, membrane
 
 STIFF = {"cells": 16, "eps": 1e-6}

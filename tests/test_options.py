@@ -47,7 +47,7 @@ def test_answers_say_their_options():
     scene = membrane(upper=0.1, load=8, define={"c": 2}).change({"mesh.cells": 8, "solve.element": "P2"})
     context = SolverContext(scene, COMM)
     for options in (
-        replace(context.options, eps=1e-4),
+        replace(context.scene.options, eps=1e-4),
         scene.options_with(eps="c*h", method="successive"),
         SolverOptions("vi", start="cold"),
         SolverOptions(),
@@ -64,4 +64,4 @@ def test_a_new_number_checks_no_scene(monkeypatch):
     context = SolverContext(membrane(upper=0.1, load=8).change({"mesh.cells": 8}), COMM)
     monkeypatch.setattr(Scene, "_fill", None)
     for method in ("penalty", "vi"):
-        assert context.answer(replace(context.options, method=method, eps=1e-3)).record["converged"]
+        assert context.answer(replace(context.scene.options, method=method, eps=1e-3)).record["converged"]

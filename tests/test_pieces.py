@@ -193,7 +193,7 @@ def test_cells_in_many_blocks_have_the_same_pieces(data, monkeypatch, text):
     expected, bounds = pieces(data, text, x), field.over(x, {}, np.zeros(len(x), dtype=int)).once()
     monkeypatch.setattr("fenicsx_obstacle.estimation.enclosed_data.AT_ONCE", 10)
     for kept in (0, 10**6):
-        monkeypatch.setattr("fenicsx_obstacle.scenes.cells.KEPT", kept)
+        monkeypatch.setattr("fenicsx_obstacle.scenes.tree_walk.KEPT", kept)
         found = pieces(data, text, x)
         for one, other in zip(_by_simplex(found, len(x)), _by_simplex(expected, len(x)), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)

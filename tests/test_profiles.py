@@ -108,7 +108,7 @@ def test_plot_along(folder):
         ({"from": [0, 0, 0], "to": [1, 1, 0]}, "from: needs 2 coordinates, not 3"),
         ({"from": [0, 0]}, "needs the keys 'from' and 'to', or 'on'"),
         ({"from": [0, 0], "to": [0, 0]}, "from and to are the same point"),
-        ({"from": [0, 0], "to": [1, 0], "n": 1}, r"\[profile\] line.n = 1: expected a whole number >= 2"),
+        ({"from": [0, 0], "to": [1, 0], "n": 1}, r"\[profile\.line\] n = 1: expected a whole number >= 2"),
         ({"on": "tob"}, "no curve named 'tob'; did you mean 'top'"),
         ({"from": [0, 0], "to": [1, 1], "m": 3}, "unknown key 'm'"),
         (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
@@ -14,7 +15,6 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.solver_context import SolverContext, close
 from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
@@ -41,6 +41,46 @@ FALLS = 0.9  # an error below so much of that on the mesh before falls; otherwis
 ABOVE_ESTIMATE = 1.05  # a bound over its estimate from samples, at most about
 STALLED = 8  # meshes without a smaller error: round-off
 HARDLY = {"dofs": 1.1, "total": 0.98}  # by these factors
+_UNITS = {"s": ("seconds", 1.0), "min": ("seconds", 60.0), "h": ("seconds", 3600.0), "MB": ("megabytes", 1.0),
+          "GB": ("megabytes", 1e3), "unknowns": ("unknowns", 1.0)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Limits of a solve; inf means no limit.
+
+    Attributes:
+        seconds: Of the solve, all meshes together.
+        megabytes: Peak memory of all ranks, in MB of 10^6 bytes.
+        unknowns: On the finest mesh.
+    """
+
+    seconds: float = math.inf
+    megabytes: float = math.inf
+    unknowns: float = math.inf
+
+    @classmethod
+    def of(cls, text: str | None) -> Budget:
+        """The budget in words: "60s", "8GB", "1e6 unknowns", or several with commas between.
+
+        Raises:
+            InputError: If it is none of these.
+        """
+        if text is None:
+            return cls()
+        limits: dict[str, float] = {}
+        for part in text.split(","):
+            match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*([a-zA-Z]+)\s*", part)
+            if match is None or match[2] not in _UNITS:
+                raise InputError(f"--budget {text}: expected limits such as 60s, 10min, 8GB or '1e6 unknowns'")
+            name, factor = _UNITS[match[2]]
+            try:
+                limits[name] = float(match[1]) * factor
+            except ValueError:
+                raise InputError(f"--budget {text}: {match[1]} is not a number") from None
+            if not 0 < limits[name] < math.inf:
+                raise InputError(f"--budget {text}: limits are positive and finite")
+        return cls(**limits)
 
 
 @dataclass(frozen=True)
@@ -332,15 +372,17 @@ class Adaptation(Refinement):
 
     def finished(self, answer: Answer) -> str | None:
         """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
-        bound, limit = _bound(answer), self._limit(answer)
-        if bound.total <= limit:
+        error, penalty, limit, unknowns = self.judged(answer)
+        if error <= limit:
             return ""
-        if isinstance(self.options.eps, float) and self.given and bound.penalty > limit:
-            return (
-                f"eps = {answer.record['eps']:.3g} alone contributes {bound.penalty:.3g}; omit eps, so that "
-                "it is chosen"
-            )
-        return self.exhausted(answer.record["dofs"], answer.level.mesh.topology.dim)
+        if isinstance(self.options.eps, float) and self.given and penalty > limit:
+            return f"eps = {answer.record['eps']:.3g} alone contributes {penalty:.3g}; omit eps, so that it is chosen"
+        return self.exhausted(unknowns, answer.level.mesh.topology.dim)
+
+    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
+        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
+        bound = _bound(answer)
+        return bound.total, bound.penalty, self._limit(answer), answer.record["dofs"]
 
     def exhausted(self, unknowns: float, dim: int) -> str | None:
         """Why there is no next mesh; None if there is one (collective).

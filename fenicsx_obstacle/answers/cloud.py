@@ -12,7 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
+from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.points import locate
@@ -67,8 +67,9 @@ class Cloud:
         for block in [*blocks(count)] or [slice(0, 0)]:
             x = corners(level.mesh, block)
             points = (inside @ x).reshape(-1, 3)
-            weights = np.outer(volumes(x), shares).ravel() * (points[:, 0] if data.model.radial else 1.0)
             cells, where = np.arange(count)[block], inside[None]
+            weights = (reference.measures(cells, where) * shares).ravel()
+            weights = weights * points[:, 0] if data.model.radial else weights
             entries = [[reference.values(one, cells, where).ravel() * weights for one in row] for row in tension]
             pulling = np.moveaxis(np.array(entries), 2, 0) if len(entries) > 1 else entries[0][0]
             u, slopes = reference.values(answer.u, cells, where), reference.gradients(answer.u, cells, where)

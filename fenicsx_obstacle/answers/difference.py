@@ -15,7 +15,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
 from fenicsx_obstacle.discrete.points import values_of
+from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.signatures import checked
@@ -98,23 +100,19 @@ def _everywhere(answer: Solution) -> tuple[np.ndarray, slice]:
 
 def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
     """Norms of a P1 function given at the local nodes, exact on each cell (collective)."""
-    level = answer.level
-    count, comm = own_cells(level.mesh), level.comm
-    x = corners(level.mesh)[:count]
-    size, values = volumes(x), nodal[releases.cell_dofs(level.V)[:count]]
-    vertices = values.shape[1]
-    # the mass matrix of a simplex is (ones + identity) |T| / ((d + 1)(d + 2))
-    squared = size / (vertices * (vertices + 1)) * (values.sum(axis=1) ** 2 + (values**2).sum(axis=1))
-    edges, rises = x[:, 1:] - x[:, :1], values[:, 1:] - values[:, :1]
-    gram = edges @ edges.transpose(0, 2, 1)
-    slopes = np.einsum("ci,ci->c", rises, np.linalg.solve(gram, rises[:, :, None])[:, :, 0])
-    l2, gradient = total(comm, squared), total(comm, size * slopes)
+    level, comm, e = answer.level, answer.level.comm, fem.Function(answer.level.V)
+    e.x.array[:] = nodal
+    cells, reference = np.arange(own_cells(level.mesh)), Reference(level.mesh)
+    points, weights = rule(level.mesh.topology.dim, 2)
+    size = reference.measures(cells, points[None]) * weights
+    slopes = size.sum(axis=1) * (reference.gradients(e, cells, points[None, :1])[:, 0] ** 2).sum(axis=1)
+    l2, gradient = total(comm, size * reference.values(e, cells, points[None]) ** 2), total(comm, slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
     elastic = answer.scene.model.elastic if isinstance(answer, Answer) else None
     tension = elastic.value if elastic is not None and elastic.role == "tension" else None
     if tension is not None and tension.parts is None and not tension.needs_distance:
-        mu = tension.at(np.ascontiguousarray(x.mean(axis=1).T), {})
-        norms["energy"] = math.sqrt(total(comm, mu * size * slopes))
+        mu = tension.at(np.ascontiguousarray(corners(level.mesh, cells).mean(axis=1).T), {})
+        norms["energy"] = math.sqrt(total(comm, mu * slopes))
     return norms
 
 

@@ -10,6 +10,7 @@ wherever there is an error bound.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,9 +19,8 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import BULK, Adaptation
+from fenicsx_obstacle.answers.adapt import BULK, Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.jumps import JUMPS, cells_with_jumps, jump_inside
@@ -29,6 +29,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
 from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.problems.summary import lookup
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import nearest, of_outputs
 
@@ -36,7 +37,7 @@ BEYOND = 4 / 3  # of order 2 in h, halved cells remove three quarters of the err
 AT_FREE_BOUNDARY = 1  # further refinements there: h/4
 AT_JUMPS = 3  # where data jump inside cells: h/16, as finer meshes may have a jump at the same wrong place
 LEAST_SHARE = 0.05  # of the sum of the absolute values of all contributions: they cancel by chance
-NOT_DIFFERENTIABLE = ("area", "penetration")
+NOT_DIFFERENTIABLE = ("contact.area", "penetration")  # keys of a record
 ENERGY = "energy"
 
 
@@ -65,6 +66,11 @@ class Estimate:
         """The estimate."""
         return self.discretisation + self.penalty
 
+    @property
+    def relative(self) -> float | None:
+        """The error over the absolute value; None where that is 0."""
+        return self.error / abs(self.value) if self.value != 0 else None
+
 
 class Goal:
     """An output quantity that has a tolerance.
@@ -79,17 +85,13 @@ class Goal:
         Raises:
             InputError: If there is no such quantity, or if it has no derivative.
         """
-        self.scene, self.name = scene, name
-        forces = {f"force.{side}": side for side in scene.sides}
-        if len(scene.sides) == 1:
-            forces["force"] = scene.sides[0]
-        known = [ENERGY, *forces, *scene.report]
-        if name in NOT_DIFFERENTIABLE and name not in scene.report:
+        self.scene, self.name, self._key = scene, name, scene.quantities.get(name, "")
+        if self._key in NOT_DIFFERENTIABLE:
             raise InputError(f"{scene.source}: --of {name}: it does not depend on u differentiably, so that its error "
                              "cannot be estimated")  # fmt: skip
-        if name not in known:
+        if not self._key:
+            known = [one for one, key in scene.quantities.items() if key not in NOT_DIFFERENTIABLE]
             raise InputError(f"{scene.source}: --of {name}: no quantity '{name}'" + nearest(name, known))
-        self._side = forces.get(name)
         if name in scene.report:
             from fenicsx_obstacle.scenes.report_derivatives import check_differentiable  # only where one is named
 
@@ -101,9 +103,7 @@ class Goal:
         Raises:
             InputError: If it has none.
         """
-        if self._side is not None:
-            return record["contact"][self._side]["force"]
-        found = record[ENERGY] if self.name == ENERGY else record["report"][self.name]
+        found = lookup(record, self._key)
         if found is None:
             raise InputError(f"{self.scene.source}: --of {self.name}: it is not finite" if self.name != ENERGY else
                              f"{self.scene.source}: --of energy: the scene has none")  # fmt: skip
@@ -117,13 +117,14 @@ class Goal:
             answer: The solution.
             side: 1 at nodes that may press against the lower obstacle, -1 at those at the upper one, else 0.
         """
-        if self._side is not None:
-            sign = 1.0 if self._side == "lower" else -1.0
+        if self._key.startswith("contact."):
+            sign = 1.0 if self._key == "contact.lower.force" else -1.0
             return np.zeros(len(side)), np.where(side == sign, sign, 0.0)
         from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport  # only where one is named
 
         report = DifferentiableReport(problem.data, self.scene)
-        report.evaluate(answer.u, answer.pressure, answer.contact, problem.elastic.array_r)
+        fields = {"u": answer.u, "p": answer.pressure, "contact": answer.contact}
+        report.evaluate(fields, problem.elastic.array_r)
         per_force, D = np.zeros(len(side)), problem.weights
         per_force[side != 0] = problem.thickness / D[side != 0]
         return report.derivative(self.name, per_force)
@@ -165,7 +166,7 @@ class GoalAdaptation(Adaptation):
         """The first answer whose estimate is below the tolerance, or the best that the budget allows (collective)."""
         answer, estimate = super().answer(yardstick=yardstick), self.estimate
         goal = {
-            "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": _relative(estimate),
+            "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": estimate.relative,
             "words": self.words, "mesh": estimate.discretisation, "penalty": estimate.penalty, "dofs": estimate.dofs,
         }  # fmt: skip
         adaptive = {"of": self.goal.name, **answer.record["adaptive"]}
@@ -173,41 +174,28 @@ class GoalAdaptation(Adaptation):
 
     def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
         """The answer on one mesh, and the part of the error of the quantity in each owned cell (collective)."""
-        if self._bounded is None:
-            self._bounded = self.goal.name == ENERGY and self._has_bound(context)
+        if self._bounded is None and self.goal.name == ENERGY:
+            with suppress(InputError):  # where there is no error bound for the scene
+                self._bounded = context.estimator is not None
         found = self._guaranteed(context) if self._bounded else None
         if found is None:
             self._bounded, found = False, self.with_eps(lambda: self._refined(context))
             jump = jump_inside(context.problem.data)  # of which no finer mesh is known to have it at the right place
             self.words = "estimated" if jump is None else f"estimated, not settled: {jump.source} {JUMPS}"
         answer, self.estimate = found
-        self.note(answer, self.estimate.error, _relative(self.estimate), self.estimate.unknowns)
+        self.note(answer, self.estimate.error, self.estimate.relative, self.estimate.unknowns)
         return answer, self.estimate.indicator
 
     def share(self, answer: Answer) -> float:
         """The share of the estimate whose cells are refined next."""
         return BULK[1]
 
-    def finished(self, answer: Answer) -> str | None:
-        """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
-        estimate = self.estimate
-        size = abs(estimate.value) if self.relative else 1.0
-        limit = self.tolerance * size
-        if estimate.error <= limit:
-            return ""
-        if size == 0.0:
+    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
+        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
+        estimate, size = self.estimate, abs(self.estimate.value) if self.relative else 1.0
+        if size == 0.0 < estimate.error:
             raise InputError(f"{self.scene.source}: --of {self.goal.name}: it is 0; give --tol-absolute")
-        if self.given and estimate.penalty > limit:
-            return (f"eps = {answer.record['eps']:.3g} alone contributes {estimate.penalty:.3g}; omit eps, so that it "
-                    "is chosen")  # fmt: skip
-        return self.exhausted(estimate.dofs, answer.level.mesh.topology.dim)
-
-    def _has_bound(self, context: SolverContext) -> bool:
-        """Whether there is an error bound for the scene (collective)."""
-        try:
-            return context.estimator is not None
-        except InputError:
-            return False
+        return estimate.error, estimate.penalty, self.tolerance * size, estimate.dofs
 
     def _guaranteed(self, context: SolverContext) -> tuple[Answer, Estimate] | None:
         """The solution on one mesh, and the middle of the bounds of the energy; None where they are not proved
@@ -274,12 +262,6 @@ class GoalAdaptation(Adaptation):
         mesh = max(*changes, LEAST_SHARE * total(self.comm, indicator))
         unknowns = answer.dofs + sum(one.problem.level.dofs for one in finer)
         return Estimate(values[0], mesh, penalty, indicator, finest.level.dofs, unknowns)
-
-
-def _relative(estimate: Estimate) -> float | None:
-    """The error over the absolute value; None where that is 0."""
-    size = abs(estimate.value)
-    return estimate.error / size if size > 0 else None
 
 
 def at_free_boundary(answer: Answer) -> np.ndarray:

@@ -7,12 +7,11 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Adaptation, with_outputs
+from fenicsx_obstacle.answers.adapt import Adaptation, Budget, with_outputs
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.changes import SCENE, changed
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.scenes.catalogue import SCENE, changed
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 
@@ -96,11 +95,14 @@ def solve(
             raise InputError(f"{name} needs a tolerance: add --tol")
     with closing(SolverContext(scene, comm)) as context:
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
-        answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False,
-                                uncertainty=uncertainty)  # fmt: skip
+        answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False)
         if bound:
             answer = with_outputs(answer, context)
         context.forget_levels()
+        if uncertainty:
+            from fenicsx_obstacle.answers.uncertainty import with_uncertainties  # only where it is asked for
+
+            answer = with_uncertainties(answer, context.problem.data)
         return context.measured(answer)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +25,6 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
 from fenicsx_obstacle.discrete.levels import Level, refined_where
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.parallel import largest, return_freed_memory
@@ -37,8 +35,7 @@ from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.time_history import TimeHistory
-    from fenicsx_obstacle.estimation.bound import Bound, Estimator
+    from fenicsx_obstacle.estimation.bound import Estimator
     from fenicsx_obstacle.scenes.functionals import Report
 
 _log = logging.getLogger(__name__)
@@ -49,7 +46,6 @@ class SolverContext:
 
     Attributes:
         scene: What is solved.
-        options: Those of the scene, or given instead.
         problem: The discrete problem.
     """
 
@@ -59,7 +55,6 @@ class SolverContext:
         comm: MPI.Comm = MPI.COMM_WORLD,
         level: Level | None = None,
         before: SolverContext | None = None,
-        options: SolverOptions | None = None,
     ):
         """Assemble (collective).
 
@@ -68,20 +63,20 @@ class SolverContext:
             comm: Communicator; not used if the scene has a DOLFINx mesh.
             level: The scene's mesh, where it is made already.
             before: A solver context on the level below, whose solution is the start.
-            options: Of the solves, instead of those of the scene.
         """
         scene.only_scalar("error bounds, adaptive meshes, Newton pictures and costs")
-        self.scene, self.options = scene, options or scene.options
         self.started = time.perf_counter()
         if level is None:
             level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            scene = scene.with_pair(level.pair)
+        self.scene = scene
         self.mesh_seconds = time.perf_counter() - self.started
         _log.info("mesh: %d cells, %d unknowns, h = %.3g", level.cells, level.dofs, level.h)
         self.problem = Problem(Data(scene.model, level))
         self._levels: Levels | None = None
         self._on_meshes = False
         self._ready = 0  # coarsest levels that hold their solutions
-        if before is not None and nested(scene.effects, scene.pair, self.options):
+        if before is not None and nested(scene.effects, scene.pair, scene.options):
             self._levels = self._above(before)
         self.setup_seconds = time.perf_counter() - self.started - self.mesh_seconds
         self._report: Report | None = None
@@ -91,7 +86,7 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         if scene.tables.profile:
-            from fenicsx_obstacle.scenes.profiles import check_profiles  # only where a scene names one
+            from fenicsx_obstacle.answers.profiles import check_profiles  # only where a scene names one
 
             check_profiles(scene, level)
         self._exact: Exact | None = None
@@ -124,12 +119,12 @@ class SolverContext:
             InputError: For cells that are no simplices.
         """
         level = self.problem.level
-        return SolverContext(self.scene, level.comm, refined_where(level, marked), self, self.options)
+        return SolverContext(self.scene, level.comm, refined_where(level, marked), self)
 
     @property
     def multigrid(self) -> Multigrid | None:
         """That of this mesh, if solves use it (first use is collective)."""
-        return self._levels_for(self.options).multigrids[-1]
+        return self._levels_for(self.scene.options).multigrids[-1]
 
     @property
     def exact(self) -> Exact | None:
@@ -174,12 +169,11 @@ class SolverContext:
         monitor: StepMonitor | None = None,
         errors: bool = True,
         near: np.ndarray | None = None,
-        uncertainty: bool = False,
     ) -> Answer:
         """Solve (collective).
 
         Args:
-            options: How; by default as the solver context was made for.
+            options: How; by default as the scene says.
             yardstick: Time one linear Poisson solve as well.
             bound: Bound the energy error as well.
             restart: With [time]: folder with the state to begin from.
@@ -187,15 +181,14 @@ class SolverContext:
             monitor: Called after each Newton step, on all levels.
             errors: Measure them, if the scene has an exact solution.
             near: Without [time]: owned values of u, of a solution that is near, to begin from.
-            uncertainty: Solve the two next coarser meshes to the end as well, for an uncertainty of each quantity.
 
         Raises:
             InputError: For a bad eps, or elements that the bound is not for.
             NotConverged: With PETSc's reason.
         """
-        problem, scene, options = self.problem, self.scene, options or self.options
+        problem, scene, options = self.problem, self.scene, options or self.scene.options
         estimator = self.estimator if bound else None  # raises before anything is solved
-        levels = self._levels_for(options, on_meshes=uncertainty or monitor is not None)
+        levels = self._levels_for(options, on_meshes=monitor is not None)
         start = time.perf_counter()
         if problem.state.multiplier is not None:  # of an earlier solve
             problem.state.multiplier[:] = 0.0
@@ -204,71 +197,61 @@ class SolverContext:
         if scene.time is None:
             begin = None if near is None else lambda _: problem.set_reference(near)
             found = solve(levels, options, start=begin, ready=self._ready if len(levels) > 1 else 0, monitor=monitor)
-            last, state, nests = found.outcome, found.state, len(found.outcomes) > 1
+            last, state = found.outcome, found.state
             counts = {"newton_total": sum(o.iterations for o in found.outcomes),
                       "krylov_total": sum(o.krylov for o in found.outcomes)}  # fmt: skip
         else:
             from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 
             stepper = TimeStepper(levels, options, self._reported, self._fields, monitor)
-            last, nests = stepper.run(restart, keep), False
-            time_history, counts, state = stepper.time_history, stepper.counts, stepper.state
-        seconds = time.perf_counter() - start
+            last = stepper.run(restart, keep)
+            time_history, counts, state = stepper.course.history, stepper.counts, stepper.state
+        seconds = time.perf_counter() - start + self.setup_seconds
         if yardstick and self._poisson is None:
             _log.info("timing a Poisson solve")
             self._poisson = poisson_seconds(problem.level)
         certified = None if estimator is None else estimator.bound()
-        answer = self._answer(options, last, counts, state, seconds, certified, time_history)
-        if uncertainty:
-            record = {**answer.record, "uncertainty": self._uncertainty(answer, levels, options, solved=nests)}
-            answer = replace(answer, record=record)
+        record = self._record(options, last, state, seconds, counts)
+        if certified is not None:
+            record["bound"] = {**certified.record, "effectivity": None}
+            if last.eps is not None and (problem.below is None) != (problem.above is None):
+                # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
+                width = last.eps * largest(problem.level.comm, np.abs(state.p))
+                record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
+        if self._report is not None:
+            record |= {"report": self._reported(state), **self._report.extremes}
+        # clocks differ between ranks: rank 0 speaks for all
+        record, history = problem.level.comm.bcast((record, last.history))
+        tension = problem.model.elastic.tension_at(state.u, problem.data)
+        answer = Answer(self._fields(state), history, record, certified, tension, scene=scene.with_options(options),
+                        time_history=time_history)  # fmt: skip
         return self.measured(answer) if errors else answer
 
-    def _uncertainty(self, answer: Answer, levels: Levels, options: SolverOptions, *, solved: bool) -> dict[str, Any]:
-        """What coarser meshes say of each quantity, or why they say nothing (collective)."""
-        from fenicsx_obstacle.answers import uncertainty  # only where it is asked for
-        from fenicsx_obstacle.discrete.jumps import JUMPS, jump_inside
-
-        start, scene, comm = time.perf_counter(), self.scene, self.problem.level.comm
-        if (why := uncertainty.reason(scene)) is not None:
-            return {"reason": why}
-
-        def report(problem: Problem, state: State) -> dict[str, float | None]:
-            if not scene.report:
-                return {}
-            from fenicsx_obstacle.scenes.functionals import Report
-
-            return _evaluated(Report(problem.data, scene), problem, state)
-
-        try:
-            found = []
-            if scene.time is None:  # the coarser levels of a time stepper have no history
-                found = uncertainty.on_coarser_meshes(levels, options, answer.eps, report, solved=solved)
-            for coarser, its_options in [] if found else uncertainty.coarser_scenes(scene, options, answer.eps):
-                with closing(SolverContext(coarser, comm, options=its_options)) as context:
-                    found.append(uncertainty.quantities(context.answer(errors=False).record))
-        except (NotConverged, InputError) as error:
-            _log.info("no uncertainty: %s", error)
-            return {"reason": "a coarser mesh could not be solved"}
-        if not found:
-            return {"reason": uncertainty.REASON}
-        three = [*found, uncertainty.quantities(answer.record)]
-        jump = jump_inside(self.problem.data)
-        remark = {} if jump is None else {"reason": f"{jump.source} {JUMPS}"}
-        said = uncertainty.compared(three, self.problem.level.pair.degree, resolved=jump is None)
-        return comm.bcast({**said, **remark, "seconds": time.perf_counter() - start})
-
     def measured(self, answer: Answer) -> Answer:
-        """The answer with its errors, if the scene has an exact solution (collective)."""
-        return answer if self.exact is None else _with_errors(answer, self.exact)
+        """The answer with its errors and the effectivity of its bound, if the scene has an exact solution (collective).
+
+        Raises:
+            InputError: If the exact solution is not a number somewhere.
+        """
+        if self.exact is None:
+            return answer
+        errors, difference = self.exact.errors(answer.u, answer.pressure, answer.record["eps"])
+        record: dict[str, Any] = {**answer.record, "errors": errors}
+        if answer.bound is not None and errors["energy"] > 0:
+            record["bound"] = {**record["bound"], "effectivity": answer.bound.total / errors["energy"]}
+        return replace(answer, record=record, fields=replace(answer.fields, error=difference))
 
     def _reported(self, state: State) -> dict[str, float | None]:
         """The output quantities of [report] (collective)."""
-        return {} if self._report is None else _evaluated(self._report, self.problem, state)
+        if self._report is None:
+            return {}
+        fields = {"u": state.u, "p": state.pressure, "contact": state.touching}
+        share = 1.0 if self.scene.time is None else self.scene.time.share
+        return self._report.evaluate(fields, self.problem.elastic.array_r * share)
 
     def _above(self, before: SolverContext) -> Levels:
         """The levels of the mesh below, which holds its solution, with those of this mesh (collective)."""
-        below, level, finer = before._levels_for(before.options), self.problem.level, list[System]()
+        below, level, finer = before._levels_for(before.scene.options), self.problem.level, list[System]()
         if level.pair.has_p1_coarse_space:  # P1 on this mesh is above P1 on the other
             assert level.coarse is not None
             below = below[:-1]
@@ -294,46 +277,23 @@ class SolverContext:
             self.setup_seconds += time.perf_counter() - start
         return self._levels
 
-    def _answer(
-        self,
-        options: SolverOptions,
-        outcome: Outcome,
-        counts: dict[str, Any],
-        state: State,
-        seconds: float,
-        bound: Bound | None,
-        time_history: TimeHistory | None,
-    ) -> Answer:
-        problem, level, scene, eps = self.problem, self.problem.level, self.scene, outcome.eps
-        seconds += self.setup_seconds
-        tables = scene.tables
+    def _record(
+        self, options: SolverOptions, outcome: Outcome, state: State, seconds: float, counts: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """The record of a solve but for bound and [report] (collective)."""
+        table = self.scene.tables
 
         def spent() -> Seconds:
             return Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)
 
-        figures = record_of(problem, options.method, outcome, state, spent, name=scene.name, title=tables.title,
-                            refine=tables.mesh.refine)  # fmt: skip
-        record = {
+        figures = record_of(self.problem, options.method, outcome, state, spent, name=self.scene.name,
+                            title=table.title, refine=table.mesh.refine)  # fmt: skip
+        remarks = [*figures.get("remarks", ()), *counts.get("remarks", ())]
+        return {
             **figures, **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
+            **({"remarks": remarks} if remarks else {}),
         }  # fmt: skip
-        if remarks := [*figures.get("remarks", ()), *counts.get("remarks", ())]:
-            record["remarks"] = remarks
-        if bound is not None:
-            record["bound"] = {**bound.record, "effectivity": None}
-            if eps is not None and (problem.below is None) != (problem.above is None):
-                # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
-                width = eps * largest(level.comm, np.abs(state.p))
-                record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
-        if self._report is not None:
-            record["report"] = self._reported(state)
-            if self._report.places:
-                record["report_places"] = self._report.places
-        # clocks differ between ranks: rank 0 speaks for all
-        record, history = level.comm.bcast((record, outcome.history))
-        scene = scene.with_options(options)
-        tension = problem.model.elastic.tension_at(state.u, problem.data)
-        return Answer(self._fields(state), history, record, bound, tension, scene=scene, time_history=time_history)
 
     def _fields(self, state: State) -> Fields:
         """The fields of an answer."""
@@ -342,30 +302,10 @@ class SolverContext:
         return Fields(self.problem.level, state.u, state.pressure, state.touching, *shown)
 
 
-def _evaluated(report: Report, problem: Problem, state: State) -> dict[str, float | None]:
-    """The output quantities of [report] of a solved problem (collective)."""
-    share = 1.0 if problem.model.time is None else problem.model.time.share
-    return report.evaluate(state.u, state.pressure, state.touching, problem.elastic.array_r * share)
-
-
-def _with_errors(answer: Answer, exact: Exact) -> Answer:
-    """The answer with its errors, and with the effectivity of its bound (collective).
-
-    Raises:
-        InputError: If the exact solution is not a number somewhere.
-    """
-    errors, difference = exact.errors(answer.u, answer.pressure, answer.record["eps"])
-    record: dict[str, Any] = {**answer.record, "errors": errors}
-    if answer.bound is not None and errors["energy"] > 0:
-        record["bound"] = {**record["bound"], "effectivity": answer.bound.total / errors["energy"]}
-    return replace(answer, record=record, fields=replace(answer.fields, error=difference))
-
-
 def close(benches: Sequence[SolverContext]) -> None:
     """Free the matrices and solvers of solver contexts; answers stay (collective)."""
-    meshes = [
-        level for context in benches for level in context.problem.level.with_meshes
-    ]  # communicators live until the end
+    # communicators live until the end
+    meshes = [level for context in benches for level in context.problem.level.with_meshes]
     for context in benches:
         context._free()
     garbage.free(level.comm for level in meshes)

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,13 +17,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
+from fenicsx_obstacle.discrete.time_discretization import NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, Array, to_hdf5, xdmf
-from fenicsx_obstacle.text import nearest, one_line
+from fenicsx_obstacle.text import csv_of, nearest, one_line
 
+_log = logging.getLogger(__name__)
 Row = Mapping[str, Any]
+Fields = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class Frame:
     """
 
     t: float
-    fields: Mapping[str, np.ndarray]
+    fields: Fields
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class TimeHistory:
         Args:
             mesh: `points` and `cells` of the answer.
         """
-        files = {"history.csv": to_csv(self.rows).encode()}
+        files = {"history.csv": csv_of(self.rows).encode()}
         if self.frames:
             moments: dict[float | None, Mapping[str, Array]] = {frame.t: frame.fields for frame in self.frames}
             files |= dict(zip(FRAMES, (to_hdf5(to_arrays(self.frames)), xdmf(mesh, moments).encode()), strict=True))
@@ -113,6 +116,65 @@ class TimeHistory:
         except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
             raise InputError(f"{folder}: the saved answer is damaged: its time history: {error}") from None
         return cls(rows, tuple(frames))
+
+
+class Course:
+    """The moments of a scene with [time] that are solved so far, whether u is scalar or vector-valued.
+
+    Attributes:
+        moments: How time is divided.
+        rows: Those of `TimeHistory`.
+        frames: Those of `TimeHistory`.
+    """
+
+    def __init__(self, moments: TimeDiscretization, history: TimeHistory | None = None):
+        """Begin, or continue from a history."""
+        self.moments = moments
+        self.rows: list[Row] = [] if history is None else list(history.rows)
+        self.frames: list[Frame] = [] if history is None else list(history.frames)
+
+    def add(self, t: float, counts: tuple[int | None, int | None], figures: Row, fields: Callable[[], Fields]) -> None:
+        """Append a moment (collective).
+
+        Args:
+            t: The moment.
+            counts: Newton steps and linear steps; None at a given start.
+            figures: Its output quantities.
+            fields: Returns its fields, where they are to be kept.
+        """
+        dt = t - self.rows[-1]["t"] if self.rows else None
+        newton, krylov = counts
+        self.rows.append({"step": len(self.rows), "t": t, "dt": dt, "newton": newton, "krylov": krylov, **figures})
+        _log.info("%s = %g: %s Newton steps", self.moments.name, t, newton)
+        each = self.moments.end / max(self.moments.frames, 1)
+        due = (np.floor(self.frames[-1].t / each * (1 + NO_STEP)) + 1) * each if self.frames else 0.0
+        if self.moments.frames and (t >= due * (1 - NO_STEP) or t >= self.moments.end * (1 - NO_STEP)):
+            self.frames.append(Frame(t, fields()))
+
+    def following(self, dt: float) -> float | None:
+        """The next moment, by a step of this length or, where steps are chosen, of about this length; None at the
+        end."""
+        now, end = self.rows[-1]["t"], self.moments.end
+        if now >= end * (1 - NO_STEP):
+            return None
+        if self.moments.tolerance is not None:
+            left = end - now  # the last two steps share what is left
+            return end if left <= dt * (1 + NO_STEP) else now + (left / 2 if left < 2 * dt else dt)
+        number = now / dt
+        steady = abs(number - round(number)) < 1e-6
+        following = (round(number) + 1) * dt if steady else now + dt
+        return end if following > end * (1 - NO_STEP) else following
+
+    @property
+    def history(self) -> TimeHistory:
+        """All rows and frames so far."""
+        return TimeHistory(tuple(self.rows), tuple(self.frames))
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """`time` of a record, as in answer.json."""
+        return {"t": self.rows[-1]["t"], "name": self.moments.name, "scheme": self.moments.scheme,
+                "steps": len(self.rows) - 1, "rejected": 0}  # fmt: skip
 
 
 @contextmanager
@@ -148,18 +210,8 @@ def from_arrays(found: Mapping[str, np.ndarray], count: int) -> list[Frame]:
     return [Frame(float(one.pop("t")), one) for one in frames.values()]
 
 
-def to_csv(rows: Sequence[Row]) -> str:
-    """A line per step."""
-    heads = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, heads)
-    writer.writeheader()
-    writer.writerows({name: "" if value is None else value for name, value in row.items()} for row in rows)
-    return text.getvalue()
-
-
 def from_csv(text: str) -> tuple[Row, ...]:
-    """The rows from the lines of `to_csv`.
+    """The rows from the lines of history.csv.
 
     Raises:
         ValueError: If they are none.

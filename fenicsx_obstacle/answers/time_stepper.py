@@ -17,9 +17,8 @@ from fenicsx_obstacle.algebra.nested import Levels, as_it_is, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import StepMonitor
-from fenicsx_obstacle.answers import checkpoint
-from fenicsx_obstacle.answers.steps import Steps
-from fenicsx_obstacle.answers.time_history import Frame, Row, TimeHistory, at_time
+from fenicsx_obstacle.answers.steps import Steps, read_checkpoint, write_checkpoint
+from fenicsx_obstacle.answers.time_history import Course, Row, at_time
 from fenicsx_obstacle.discrete.admissible import giver, worst
 from fenicsx_obstacle.discrete.data_within_steps import DataWithinSteps
 from fenicsx_obstacle.discrete.drift import check_drift_in_time
@@ -43,6 +42,7 @@ class TimeStepper:
     Attributes:
         problem: On the finest level.
         below: Those of the levels below, whose matrices keep step.
+        course: The moments so far.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class TimeStepper:
     def _advance(self, keep: Path | None) -> Outcome | None:
         """All steps; None where one of them has lowered eps (collective)."""
         dt, written = self._first_step(), self._now()
-        while (t := self._next(dt)) is not None:
+        while (t := self.course.following(dt)) is not None:
             before = self.steps.times[0]
             if self._misses_data(before, t):
                 dt, self._shortened = (t - before) / 2, self._shortened + 1
@@ -151,7 +151,7 @@ class TimeStepper:
                 dt = max(wanted, dt) if wanted >= t - before else wanted
             self.steps.accept(t, u)
             self._count(outcomes)
-            self._row(t, t - before, outcomes)
+            self._row(t, outcomes)
             if keep is not None and self._now() - written > EVERY:
                 self._keep(keep)
                 written = self._now()
@@ -200,15 +200,9 @@ class TimeStepper:
         return found is not None
 
     @property
-    def time_history(self) -> TimeHistory:
-        """Rows and frames so far."""
-        return TimeHistory(tuple(self.rows), tuple(self.frames))
-
-    @property
     def counts(self) -> dict[str, Any]:
         """Steps and iterations, as in answer.json."""
-        moments: dict[str, Any] = {"t": self.steps.times[0], "name": self.moments.name, "scheme": self.moments.scheme,
-                   "steps": len(self.rows) - 1, "rejected": self._rejected}  # fmt: skip
+        moments = {**self.course.record, "rejected": self._rejected}
         counts: dict[str, Any] = {"time": moments, "newton_total": self._newton, "krylov_total": self._krylov}
         if self._within is not None:
             moments["shortened"] = self._shortened
@@ -221,12 +215,12 @@ class TimeStepper:
 
     def _begin(self, restart: Path | None) -> None:
         problem, moments = self.problem, self.moments
-        self.rows, self.frames = list[Row](), list[Frame]()
+        self.course = Course(moments)
         if restart is not None:
-            self.steps, time_history = checkpoint.read(restart, problem.level, moments)
+            self.steps, time_history = read_checkpoint(restart, problem.level, moments)
+            self.course = Course(moments, time_history)
             if self._penalty is not None and self._penalty.automatic and self.steps.eps is not None:
                 self._penalty.eps = min(self._penalty.eps, self.steps.eps)
-            self.rows, self.frames = list(time_history.rows), list(time_history.frames)
             self._move(self.steps.times[0], self.steps.u_values[0])
             self._remember()
             return
@@ -237,14 +231,14 @@ class TimeStepper:
                 outcomes = self._solve()
             self.steps.u_values = [self._heights()]
             self._count(outcomes)
-            self._row(0.0, None, outcomes)
+            self._row(0.0, outcomes)
             return
         check_drift_in_time(problem)
         self.steps = Steps(moments.order, moments.scheme, 0.0, self._start(), self._velocity())
         self._move(0.0, self.steps.u_values[0])
         self.steps.u_values = [self._heights()]  # with the boundary values
         self._remember()
-        self._row(0.0, None, [])
+        self._row(0.0, [])
 
     def _start(self) -> np.ndarray:
         """u at t = 0, ghosts included."""
@@ -326,19 +320,6 @@ class TimeStepper:
         chosen = self.moments.tolerance is not None and len(times) > 1
         return times[0] - times[1] if chosen else self.moments.step
 
-    def _next(self, dt: float) -> float | None:
-        """The next moment; None at the end."""
-        now, end = self.steps.times[0], self.moments.end
-        if now >= end * (1 - NO_STEP):
-            return None
-        if self.moments.tolerance is not None:
-            left = end - now  # the last two steps share what is left
-            return end if left <= dt * (1 + NO_STEP) else now + (left / 2 if left < 2 * dt else dt)
-        number = now / dt
-        steady = abs(number - round(number)) < 1e-6
-        following = (round(number) + 1) * dt if steady else now + dt
-        return end if following > end * (1 - NO_STEP) else following
-
     def _step(self, t: float) -> list[Outcome]:
         self.steps.prepare(self.problem, t)
         self._move(t, self.steps.u_values[0])
@@ -369,15 +350,10 @@ class TimeStepper:
             self.steps.impulse = out.array_r.copy()
             out.destroy()
 
-    def _row(self, t: float, dt: float | None, outcomes: Sequence[Outcome]) -> None:
+    def _row(self, t: float, outcomes: Sequence[Outcome]) -> None:
         """Append the output quantities of a step, and its fields if they are to be saved."""
         self._remember()
-        last = outcomes[-1] if outcomes else None
-        row = {
-            "step": len(self.rows), "t": t, "dt": dt,
-            "newton": None if last is None else last.iterations, "krylov": None if last is None else last.krylov,
-        }  # fmt: skip
-        state = self.state
+        state, last = self.state, outcomes[-1] if outcomes else None
         if last is None:  # nothing is in balance yet: there is no pressure
             state.pressure.x.array[:] = state.touching.x.array[:] = 0.0
         figures: dict[str, Any] = {"energy": state.energy}
@@ -389,13 +365,8 @@ class TimeStepper:
             figures |= {f"force_{side}": force for side, force in state.sides(self.problem).items()}
             figures["penetration"] = state.contact.penetration
             figures |= self._reported(state)
-        self.rows.append({**row, **figures})
-        _log.info("%s = %g: %s Newton steps", self.moments.name, t, row["newton"])
-        each = self.moments.end / max(self.moments.frames, 1)
-        due = (np.floor(self.frames[-1].t / each * (1 + NO_STEP)) + 1) * each if self.frames else 0.0
-        last_one = t >= self.moments.end * (1 - NO_STEP)
-        if self.moments.frames and (t >= due * (1 - NO_STEP) or last_one):
-            self.frames.append(Frame(t, frame_of(self._fields(state))))
+        counts = (None, None) if last is None else (last.iterations, last.krylov)
+        self.course.add(t, counts, figures, lambda: frame_of(self._fields(state)))
 
     def _kinetic(self) -> float:
         """rho v^2/2, by the nodal rule."""
@@ -411,4 +382,4 @@ class TimeStepper:
     def _keep(self, folder: Path | None) -> None:
         if folder is not None:
             self.steps.eps = None if self._penalty is None else self._penalty.eps
-            checkpoint.write(folder, self.problem.level, self.steps, self.time_history)
+            write_checkpoint(folder, self.problem.level, self.steps, self.course.history)

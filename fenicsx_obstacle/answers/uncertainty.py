@@ -1,32 +1,32 @@
-"""An uncertainty for each output quantity, from its values on the last three meshes of nested iteration.
+"""An uncertainty for each output quantity, from its values on three meshes whose h halves.
 
-Nested iteration has a problem on each coarser mesh already, with a state near its solution. Two of them are solved to
-the end, with eps scaled as h^2. With [time] the scene is solved on two coarser meshes, with steps scaled as h. Where
-the changes from mesh to mesh have a ratio that the element can have, Richardson extrapolation says how far the last
-value is from the limit for h and eps to 0 (Roache 1994; Eca and Hoekstra 2014: without such an order the estimate rests
-on the largest change). Where a datum jumps inside cells nothing is settled: each mesh has the jump elsewhere, three
-nested ones perhaps at the same wrong place, and the values do not tell.
+The scene is solved on two coarser meshes, with eps scaled as h^2 and, with [time], steps scaled as h. Where the changes
+from mesh to mesh have a ratio that the element can have, Richardson extrapolation says how far the last value is from
+the limit for h and eps to 0 (Roache 1994; Eca and Hoekstra 2014: without such an order the estimate rests on the
+largest change). Where a datum jumps inside cells nothing is settled: each mesh has the jump elsewhere, three nested
+ones perhaps at the same wrong place, and the values do not tell.
 """
 
 from __future__ import annotations
 
+import logging
 import math
+import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from fenicsx_obstacle.algebra.nested import Levels, as_it_is, begin_from
-from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import of_pair
-from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.jumps import JUMPS, jump_inside
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
-from fenicsx_obstacle.errors import PenetrationWarning
-from fenicsx_obstacle.problems.solve import State, solve
+from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
 from fenicsx_obstacle.scenes.scene import Scene
 
-MESHES = 3
+_log = logging.getLogger(__name__)
 EPS_TIMES = (16.0, 4.0)  # that of the finest mesh: eps is scaled as h^2
 FEWEST = 4  # cells along x on the coarsest of them
 ROUND_OFF = 1e-9  # relative change that is the solver's tolerance
@@ -39,7 +39,6 @@ GROWS = 0.03  # last change over the value, from which on a value that grows is 
 REASON = "it takes two coarser meshes: a number of cells that 4 divides, 16 or more, or --refine 2 for a file"
 REASON_STEPS = "it takes two solves with fewer steps: a number of steps under [time] that 4 divides"
 REASON_TOLERANCE = "it takes steps that are scaled as h, and [time] tolerance chooses them; give their number instead"
-Values = dict[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -111,90 +110,69 @@ def compared(found: Sequence[Any], degree: int = 1, *, resolved: bool = True, bo
     return asdict(said)
 
 
-def on_coarser_meshes(
-    levels: Levels,
-    options: SolverOptions,
-    eps: float | None,
-    report: Callable[[Problem, State], Values],
-    *,
-    solved: bool,
-) -> list[dict[str, Any]]:
-    """The output quantities on the two next coarser meshes, the coarser first (collective).
+def with_uncertainties(answer: Answer, data: Data) -> Answer:
+    """The answer with `record["uncertainty"]`: what coarser meshes say of each quantity, or why they say nothing
+    (collective).
 
     Args:
-        levels: Of the last solve; left with other states and active sets, except for the finest.
-        options: Of the last solve.
-        eps: On the finest mesh, or None.
-        report: The values of [report] of a problem that is in this state.
-        solved: Whether nested iteration has left a state near the solution on each mesh.
+        answer: Solution of a scene with scalar u.
+        data: Of the scene on its mesh.
+    """
+    start, level = time.perf_counter(), answer.level
+    try:
+        three = [*_on_coarser_meshes(answer), quantities(answer.record)]
+    except InputError as error:
+        found = {"reason": str(error)}
+    else:
+        jump = jump_inside(data)
+        remark = {} if jump is None else {"reason": f"{jump.source} {JUMPS}"}
+        found = {**compared(three, level.pair.degree, resolved=jump is None), **remark}
+        found = level.comm.bcast({**found, "seconds": time.perf_counter() - start})
+    return replace(answer, record={**answer.record, "uncertainty": found})
 
-    Returns:
-        The quantities; none where there are no two such meshes.
+
+def _on_coarser_meshes(answer: Answer) -> list[dict[str, Any]]:
+    """The output quantities on two coarser meshes, the coarser first (collective).
 
     Raises:
-        NotConverged: With PETSc's reason.
+        InputError: Saying why there are none.
     """
-    first = next(k for k, system in enumerate(levels.systems) if isinstance(system, Problem))
-    meshes = levels[first:]
-    assert isinstance(levels.finest, Problem)
-    pair = levels.finest.level.pair
-    of_degree_2 = pair.has_p1_coarse_space
-    coarser = meshes[: -2 if of_degree_2 else -1][1 - MESHES :]
-    if len(coarser) < MESHES - 1:
-        return []
-    found, below = [], None
-    for number, times in enumerate(EPS_TIMES):
-        here = coarser[number : number + 1]
-        problem = here.finest
-        assert isinstance(problem, Problem)
-        if of_degree_2:
-            fine = Problem(Data(problem.model, of_pair(problem.level, pair)))
-            begin_from(fine, problem)
-            here, problem = here.with_finer([fine])[1:], fine
-        elif below is not None and not solved:
-            begin_from(problem, below)
-        with warnings.catch_warnings():  # eps is that of the finest mesh, for which the user is warned
-            warnings.simplefilter("ignore", PenetrationWarning)
-            state = solve(here, _scaled(options, eps, times), start=as_it_is).state
-        found.append(quantities({
-            "energy": state.energy, "penetration": state.contact.penetration, "report": report(problem, state),
-            "contact": {"area": state.contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
-        }))  # fmt: skip
-        below = problem
+    found = []
+    for coarser in coarser_scenes(answer.scene, answer.eps):
+        try:
+            with closing(SolverContext(coarser, answer.level.comm)) as context, warnings.catch_warnings():
+                warnings.simplefilter("ignore", PenetrationWarning)  # it depends on the eps of the finest mesh
+                found.append(quantities(context.answer(errors=False).record))
+        except (NotConverged, InputError) as error:
+            _log.info("no uncertainty: %s", error)
+            raise InputError("a coarser mesh could not be solved") from None
     return found
 
 
-def coarser_scenes(scene: Scene, options: SolverOptions, eps: float | None) -> list[tuple[Scene, SolverOptions]]:
-    """The scene on two coarser meshes, the coarser first, with steps scaled as h; none where it has none.
+def coarser_scenes(scene: Scene, eps: float | None) -> list[Scene]:
+    """The scene on two coarser meshes, the coarser first, with steps scaled as h.
 
     Args:
         scene: The scene.
-        options: Of its solve.
         eps: On its mesh, or None.
+
+    Raises:
+        InputError: Saying why there are none.
     """
     mesh, moments, found = scene.tables.mesh, scene.time, []
+    moving = moments is not None and moments.order > EQUILIBRIA
+    if moments is not None and moving and (moments.tolerance is not None or moments.steps % 4):
+        raise InputError(REASON_STEPS if moments.tolerance is None else REASON_TOLERANCE)
     for times, halvings in zip(EPS_TIMES, (2, 1), strict=True):
-        less, rest = min(halvings, mesh.refine), halvings - min(halvings, mesh.refine)
-        changes: dict[str, Any] = {"mesh.refine": mesh.refine - less} if less else {}
+        less = min(halvings, mesh.refine)
+        rest = halvings - less
+        changes: dict[str, Any] = {"profile": {}, "mesh.refine": mesh.refine - less}  # a line may leave a coarser mesh
         if rest:
             if mesh.shape is None or scene.mesh is not None or mesh.cells % 2**rest or mesh.cells < FEWEST * 2**rest:
-                return []
+                raise InputError(REASON)
             changes["mesh.cells"] = mesh.cells // 2**rest
-        if moments is not None and moments.order > EQUILIBRIA:
+        if moments is not None and moving:
             changes["time.steps"] = moments.steps // 2**halvings
-        found.append((scene.change(changes), _scaled(options, eps, times)))
+        coarser = scene.change(changes)
+        found.append(coarser if eps is None else coarser.with_options(replace(coarser.options, eps=times * eps)))
     return found
-
-
-def reason(scene: Scene) -> str | None:
-    """Why a scene with [time] has no uncertainty, whatever its mesh; None if it may have one."""
-    moments = scene.time
-    if moments is None or moments.order == EQUILIBRIA:
-        return None
-    if moments.tolerance is not None:
-        return REASON_TOLERANCE
-    return REASON_STEPS if moments.steps % 4 else None
-
-
-def _scaled(options: SolverOptions, eps: float | None, times: float) -> SolverOptions:
-    return options if eps is None else replace(options, eps=times * eps)

@@ -148,3 +148,25 @@ def sizes(corners: np.ndarray) -> np.ndarray:
     """dim! times the volume over the longest edge to the power dim."""
     edges, longest = corners[:, 1:] - corners[:, :1], edge_lengths(corners).max(axis=1)
     return spanned(edges / np.maximum(longest, np.finfo(float).tiny)[:, None, None])
+
+
+def chains(edges: np.ndarray, count: int) -> list[np.ndarray]:
+    """Connected points in their order along each curve, from an end of it, where there is one.
+
+    Args:
+        edges: Pairs of points, shape (n, 2).
+        count: Of all points; one without an edge is a curve of its own.
+    """
+    beside: dict[int, set[int]] = {point: set() for point in range(count)}
+    for a, b in edges.tolist():
+        beside[a].add(b)
+        beside[b].add(a)
+    found, left = list[np.ndarray](), dict.fromkeys(sorted(beside, key=lambda point: len(beside[point])))
+    while left:
+        curve = [next(iter(left))]
+        del left[curve[0]]
+        while further := sorted(beside[curve[-1]] & left.keys()):
+            curve.append(further[0])
+            del left[further[0]]
+        found.append(np.array(curve))
+    return found

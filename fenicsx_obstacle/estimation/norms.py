@@ -301,6 +301,11 @@ class Distance:
         """||d||_0 of values at the dofs of Q_h, ghosts included (collective)."""
         return self._norm(self._pressure, self.d, values)
 
+    def of_u(self, values: np.ndarray) -> dict[str, float]:
+        """The energy norm, ||e||_0 and the maximum of nodal values, ghosts included (collective)."""
+        largest_value = largest(self.problem.level.comm, np.abs(values))
+        return {"energy": self.energy(values), "l2": self.l2(values), "max": largest_value}
+
     def _norm(self, form: Any, function: fem.Function, values: np.ndarray) -> float:
         function.x.array[:] = values
         return math.sqrt(max(total(self.problem.level.comm, fem.assemble_scalar(form)), 0.0))

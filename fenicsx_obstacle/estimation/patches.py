@@ -165,9 +165,9 @@ class Patches:
         patch = np.empty(count, dtype=np.int64)
         patch[numbers] = self.patch[:, None]
         if np.any(patch[numbers] != self.patch[:, None]):  # patches with a common edge
-            keys = numbers.astype(np.int64) * len(self.vertex) + self.patch[:, None]
-            every, numbers = np.unique(keys, return_inverse=True)
-            numbers, patch = numbers.reshape(keys.shape), every % len(self.vertex)
+            both = numbers.astype(np.int64) * len(self.vertex) + self.patch[:, None]
+            every, numbers = np.unique(both, return_inverse=True)
+            numbers, patch = numbers.reshape(both.shape), every % len(self.vertex)
         return numbers, patch, len(patch)
 
 

@@ -141,16 +141,15 @@ def main_values(r: Mapping[str, Any]) -> list[str]:
     """Energy and contact, in words."""
     contact = r["contact"]
     sides = [side for side in ("lower", "upper") if side in contact]
-    figures = ["no energy" if r["energy"] is None else f"energy {with_uncertainty(r, r['energy'], '.10g', 'energy')}"]
+    figures = ["no energy" if r["energy"] is None else f"energy {with_uncertainty(r, 'energy', '.10g')}"]
     if sides:
-        figures.append(f"contact area {with_uncertainty(r, contact['area'], '.6g', 'contact', 'area')}")
+        figures.append(f"contact area {with_uncertainty(r, 'contact.area', '.6g')}")
         if "resultant" in contact:
             figures.append(f"contact force {vector_in_words(contact['resultant'])}")
         else:
             for side in sides:
-                force = with_uncertainty(r, contact[side]["force"], ".6g", "contact", side, "force")
-                figures.append(f"force on {side} obstacle {force}")
-        figures.append(f"penetration {with_uncertainty(r, r['penetration'], '.3g', 'penetration')}")
+                figures.append(f"force on {side} obstacle {with_uncertainty(r, f'contact.{side}.force', '.6g')}")
+        figures.append(f"penetration {with_uncertainty(r, 'penetration', '.3g')}")
     known = {key: contact.get(key) for key in ("half_width", "peak", "approach")}  # of an elastic body
     return figures + [f"{key.replace('_', '-')} {value:.6g}" for key, value in known.items() if value is not None]
 
@@ -170,23 +169,30 @@ def report_in_words(record: Mapping[str, Any]) -> dict[str, str]:
         elif name == goal.get("name"):
             found[name] = with_error(value, goal["error"])
         else:
-            found[name] = f"{with_uncertainty(record, value, '.6g', 'report', name)}{where}"
+            found[name] = f"{with_uncertainty(record, f'report.{name}', '.6g')}{where}"
     return found
 
 
-def with_uncertainty(record: Mapping[str, Any], value: float, form: str, *keys: str, short: bool = False) -> str:
-    """The value of a field with its uncertainty, in words; the value alone where no uncertainty was asked for.
+def lookup(record: Mapping[str, Any], key: str) -> Any:
+    """Value at a dotted key of a record, or of a row with dotted keys; None if there is none."""
+    if key in record:
+        return record[key]
+    value: Any = record
+    for step in key.split("."):
+        value = value.get(step) if isinstance(value, Mapping) else None
+    return value
+
+
+def with_uncertainty(record: Mapping[str, Any], key: str, form: str, *, short: bool = False) -> str:
+    """A value with its uncertainty, in words; the value alone where no uncertainty was asked for.
 
     Args:
         record: Of a solution, or a row of a study.
-        value: Of the field.
+        key: The value's dotted key.
         form: Of the value where its error is not known.
-        keys: The field, and the fields in it.
         short: Without the order and the last change.
     """
-    found: Any = record.get("uncertainty", {})
-    for key in keys:
-        found = found.get(key, {})
+    value, found = lookup(record, key), lookup(record, f"uncertainty.{key}")
     if not found:
         return f"{value:{form}}"
     if found["error"] is None:

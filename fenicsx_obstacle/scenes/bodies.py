@@ -117,10 +117,11 @@ class Body:
         self._go_places()
         bcs = self._conditions()
         self._check_effect()
+        on_facets = self._over(np.concatenate([one.facets for one in self.facing]))
         with self._naming_parts():
             self.problem = _Problem(
                 model.source, F, self.u, bcs=bcs, lower=self.gap, of=-ufl.dot(self.u, self._normals),
-                measure=self._measure(), stress=self.law.stress,
+                measure=self.law.over(on_facets), stress=self.law.stress,
             )  # fmt: skip
 
     def _check_effect(self) -> None:
@@ -199,11 +200,6 @@ class Body:
             if one.obstacle.travel is not None:
                 one.travel.value = float(self.data.at(one.obstacle.travel, np.zeros((3, 1)))[0])
         self.place()
-
-    @property
-    def moved(self) -> Facing | None:
-        """The first obstacle that moves, or None."""
-        return next((one for one in self.facing if one.obstacle.moves), None)
 
     def place(self) -> None:
         """Compute the gaps, with the obstacles where they are now (collective).
@@ -408,8 +404,13 @@ class Body:
             found = self._of_body(obstacle, facets)[nodes]
         before = table[nodes]
         other = (np.linalg.norm(before, axis=1) > 0) & (np.einsum("ij,ij->i", before, found) < CLOSE)
-        self._refuse(other, dofs, f"{obstacle.source}: meets another part with an obstacle, whose gap has another "
-                                  "direction; leave facets between them, or give both the same 'along',")  # fmt: skip
+        points = self.level.points.T[dofs[other]]
+        bad = [one for one in self.level.comm.allgather(points[0].tolist() if len(points) else None) if one]
+        if bad:
+            raise InputError(
+                f"{obstacle.source}: meets another part with an obstacle, whose gap has another direction; leave "
+                f"facets between them, or give both the same 'along', at {self.data.place(np.array(min(bad)))}"
+            )
         table[nodes] = found
         self._normals.x.scatter_forward()
 
@@ -438,21 +439,10 @@ class Body:
         units[size > 0] /= size[size > 0][:, None]
         return units
 
-    def _refuse(self, bad: np.ndarray, dofs: np.ndarray, words: str) -> None:
-        """All ranks raise if any of some dofs is bad, naming one place (collective)."""
-        points = self.level.points.T[dofs[bad]]
-        found = [one for one in self.level.comm.allgather(points[0].tolist() if len(points) else None) if one]
-        if found:
-            raise InputError(f"{words} at {self.data.place(np.array(min(found)))}")
-
     def _over(self, facets: np.ndarray) -> ufl.Measure:
         mesh = self.level.mesh
         tags = dmesh.meshtags(mesh, mesh.topology.dim - 1, np.unique(facets), np.ones(len(np.unique(facets)), np.int32))
         return ufl.Measure("ds", domain=mesh, subdomain_data=tags)(1)
-
-    def _measure(self) -> Any:
-        """Of all parts with an obstacle, with the radius in axial symmetry."""
-        return self.law.over(self._over(np.concatenate([one.facets for one in self.facing])))
 
     def _conditions(self) -> list[Any]:
         """Dirichlet conditions of the components that are given (collective)."""
@@ -466,15 +456,11 @@ class Body:
                     dofs = fem.locate_dofs_topological(
                         (V.sub(k), self.vectors.Q), mesh.topology.dim - 1, self.data.facets[number]
                     )
-                    found.append(fem.dirichletbc(self._given(field, number), dofs, V.sub(k)))
+                    given = fem.Function(self.vectors.Q)
+                    given.interpolate(self.data.on_part(field, number))
+                    self._values.append((given, field, number))
+                    found.append(fem.dirichletbc(given, dofs, V.sub(k)))
         return found
-
-    def _given(self, field: Field, part: int) -> fem.Function:
-        """A component of u on a part of the boundary (collective)."""
-        given = fem.Function(self.vectors.Q)
-        given.interpolate(self.data.on_part(field, part))
-        self._values.append((given, field, part))
-        return given
 
 
 def part_of(one: Facing, nodes: ContactTable) -> ContactTable:

@@ -1,4 +1,4 @@
-"""The catalogue: scenes with exact solutions, as TOML files within the package."""
+"""Scenes by name, of the catalogue of scenes with exact solutions, or by file, with changes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ from typing import Any
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.tables import Tables
 from fenicsx_obstacle.text import nearest
 
 _FOLDER = Path(__file__).parent.parent / "catalogue"
+SCENE = "a Scene, a file with one, or a name of the catalogue"
+_SHORT = {"cells": "mesh.cells", "refine": "mesh.refine", "eps": "solve.eps", "method": "solve.method",
+          "start": "solve.start", "element": "solve.element"}  # fmt: skip
 
 
 def names() -> list[str]:
@@ -48,7 +52,35 @@ def read(place: str, changes: Mapping[str, Any] | None = None) -> Scene:
     return scene(place, changes) if is_name else Scene.read(path, changes)
 
 
+def changed(scene: Scene | str | Path, options: Mapping[str, Any] | None = None) -> Scene:
+    """A scene, or the one in a file, or of a name in the catalogue, with options that are not None.
+
+    Cells, refine, eps, method, start and element have short names. Options may give what a file lacks.
+
+    Raises:
+        InputError: If there is no such file or name, a key is unknown, or a value does not fit it.
+    """
+    changes = _by_keys(options or {}, scene.source if isinstance(scene, Scene) else str(scene))
+    if isinstance(scene, Scene) and not changes:
+        return scene
+    found = scene.change(changes) if isinstance(scene, Scene) else read(str(scene), changes)
+    if "mesh.cells" in changes and (found.mesh is not None or found.tables.mesh.file is not None):
+        raise InputError(
+            f"{found.source}: 'cells' is for shapes; refine a mesh from a file or from Python with 'refine'"
+        )
+    return found
+
+
 def _file(name: str) -> Path:
     if name not in names():
         raise InputError(f"{name}: no such scene" + nearest(name, names()))
     return _FOLDER / f"{name}.toml"
+
+
+def _by_keys(options: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Options that are not None by their keys in TOML."""
+    known = {*_SHORT, *Tables.__struct_fields__}
+    for key in options:
+        if "." not in key and key not in known:
+            raise InputError(f"{source}: unknown key '{key}'" + nearest(key, known))
+    return {_SHORT.get(key, key): value for key, value in options.items() if value is not None}

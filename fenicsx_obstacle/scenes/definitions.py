@@ -86,9 +86,9 @@ class Definitions(Vocabulary):
         """Whether u is the displacement of an elastic body."""
         return any(issubclass(find(key), Elastic) and bool(find(key).vector_valued) for key in self.tables.effects)
 
-    def use_cells(self, cell: str) -> None:
-        """Take the default element for the cells of a file, once these are known, where [solve] names no element."""
-        object.__setattr__(self, "pair", _pair(self.tables, self.source, cell))  # the class is frozen
+    def pair_on(self, cell: str) -> Pair:
+        """The element on a mesh of these cells: their default one, where [solve] names none."""
+        return _pair(self.tables, self.source, cell)
 
     def field(self, value: Any, place: str) -> Field:
         """A number, a formula, a table of measured data or an object as a datum; `place` is its table and key."""

@@ -79,13 +79,12 @@ class FormulaField(Field):
             return margins(self.vocabulary, self.formula, x, self._known(x, names))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed:
-        from fenicsx_obstacle.scenes.cells import Cells  # only where bounds are asked for
-        from fenicsx_obstacle.scenes.enclosures import OnCells
+        from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
 
         return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)
 
     def over_time(self, x: np.ndarray, start: np.ndarray, end: np.ndarray, names: Names) -> TimeBounds:
-        from fenicsx_obstacle.scenes.time_bounds import over_time  # only where a tolerance chooses the steps
+        from fenicsx_obstacle.scenes.enclosures import over_time  # only where a tolerance chooses the steps
 
         distance = self._known(x, names)["distance"] if self.needs_distance else None
         return over_time(self.vocabulary, self.formula, x, distance, start, end)

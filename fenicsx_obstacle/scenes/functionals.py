@@ -24,6 +24,7 @@ from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, rule
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.definitions import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
+from fenicsx_obstacle.scenes.report import BODY_QUANTITIES
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, nearest
 
@@ -54,13 +55,12 @@ class Report:
 
     Attributes:
         values: Values so far, by name.
-        places: Where the extremes are that stand alone in an entry, by its name.
     """
 
     def __init__(self, data: Data, scene: Scene):
         self.data, self.scene, self.level = data, scene, data.level
         self.values: dict[str, float] = {}
-        self.places: dict[str, list[float]] = {}
+        self._places: dict[str, list[float]] = {}
         self._corners, self._reference = corners(self.level.mesh), Reference(self.level.mesh)
         self._every = np.arange(own_cells(self.level.mesh))
         self._nodal: dict[str, fem.Function] = {}
@@ -99,35 +99,35 @@ class Report:
                         if all(self._is_known(formula.part(coordinate)) for coordinate in coordinates):
                             self._locate(formula, node, coordinates)
 
+    @property
+    def extremes(self) -> dict[str, dict[str, list[float]]]:
+        """`report_places` of a record: where the extremes are that stand alone in an entry, by its name; {} without."""
+        return {"report_places": self._places} if self._places else {}
+
     def evaluate(
-        self, u: fem.Function, p: fem.Function, contact: fem.Function, support: np.ndarray
+        self, fields: Mapping[str, fem.Function], forces: np.ndarray | None = None, known: Mapping[str, float] = {}
     ) -> dict[str, float | None]:
         """All output quantities, in order; None if one is not finite (collective).
 
         Args:
-            u: Solution.
-            p: Contact pressure.
-            contact: 1 at nodes in contact, else 0.
-            support: a(u, phi_i) - f(phi_i) at owned dofs.
+            fields: u, p and contact, which is 1 at nodes in contact; of an elastic body its fields, by their names.
+            forces: Of scalar u, a(u, phi_i) - f(phi_i) at owned dofs.
+            known: Numbers that are known without a functional.
 
         Raises:
             InputError: If a point that depends on other figures is outside.
         """
-        self._nodal = {"u": u, "p": p, "contact": contact}
-        if any(NORMAL_FLUX in formula.names for formula in self.scene.report.values()):
+        self._nodal = dict(fields)
+        if forces is not None and any(NORMAL_FLUX in formula.names for formula in self.scene.report.values()):
             self._normal = NormalFlux(
-                self.data, self._reference, self._facet_rule(), self._tension, u, support
+                self.data, self._reference, self._rule(self._reference.dim - 1), self._tension, fields["u"], forces
             )  # fmt: skip
-        return self._evaluated({})
-
-    def _evaluated(self, known: Mapping[str, float]) -> dict[str, float | None]:
-        """All output quantities, in order, from the nodal values and known quantities (collective)."""
-        self.values, self.places = dict(known), {}
+        self.values, self._places = dict(known), {}
         for name, formula in self.scene.report.items():
             self._last_place: list[float] = []
-            tree = _Inner(self, formula).visit(deepcopy(formula.tree))
-            if isinstance(formula.tree, ast.Call) and _name(formula.tree) in ("sup", "inf"):
-                self.places[name] = self._last_place
+            tree = Numbers(partial(self.functional, formula), inner=True).visit(deepcopy(formula.tree))
+            if isinstance(formula.tree, ast.Call) and name_of(formula.tree) in ("sup", "inf"):
+                self._places[name] = self._last_place
             self.values[name] = self._number(formula.part(tree))
         found = {name: self.values[name] for name in self.scene.report}
         return {name: value if np.isfinite(value) else None for name, value in found.items()}
@@ -135,17 +135,17 @@ class Report:
     def functional(self, formula: Formula, call: ast.Call) -> float:
         """Value of integral, at, sup or inf; those within it have become numbers already (collective)."""
         expression = formula.part(call.args[0])
-        if _name(call) == "integral":
+        if name_of(call) == "integral":
             sums = [
                 (self._inside(expression, points) * points.sizes).sum(axis=1)
                 for points in self.quadrature(expression, call)
             ]
             return total(self.level.comm, np.concatenate(sums))
-        if _name(call) == "at":
+        if name_of(call) == "at":
             rows, cells, weights = self._locate(formula, call, call.args[1:])
             values = self._inside(expression, Points(cells, weights[:, None]))[:, 0]
             return float(mean_over_cells(self.level.comm, 1, rows, values)[0])
-        return self._extreme(expression, 1.0 if _name(call) == "sup" else -1.0)
+        return self._extreme(expression, 1.0 if name_of(call) == "sup" else -1.0)
 
     def _extreme(self, expression: Formula, sign: float) -> float:
         """The largest or least value at nodes; its place is kept, of equal ones the first by coordinates."""
@@ -170,14 +170,9 @@ class Report:
         self._last_place = min(place for value, place in found if value >= best - EQUAL * abs(best))
         return sign * best
 
-    def _rule(self) -> tuple[np.ndarray, np.ndarray]:
-        """Weights of the vertices at points of quadrature, shape (n, vertices), and weights of sum 1."""
-        dim = self._reference.dim
-        return rule(dim) if self._reference.simplex else self._grid(dim)
-
-    def _facet_rule(self) -> tuple[np.ndarray, np.ndarray]:
-        """The same for facets."""
-        dim = self._reference.dim - 1
+    def _rule(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
+        """Weights of the vertices at points of quadrature of cells or facets, shape (n, vertices), and weights of sum
+        1."""
         return rule(dim) if self._reference.simplex or dim < 2 else self._grid(dim)
 
     def _grid(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +189,7 @@ class Report:
         if names and (len(names) > 1 or not self.over_cells(expression, names[0])):
             yield self._on_facets(self.level.facets[names[0]], self.level.groups[names[1]] if len(names) > 1 else None)
             return
-        points, weights = self._rule()
+        points, weights = self._rule(self._reference.dim)
         for block in _parts(self.level.groups[names[0]] if names else self._every, len(weights)):
             yield Points(block, points[None], self._reference.measures(block, points[None]) * weights)
 
@@ -205,7 +200,7 @@ class Report:
         if seen_from is not None:
             kept = np.isin(cells, seen_from)
             cells, numbers, shares = cells[kept], numbers[kept], np.ones(np.count_nonzero(kept))
-        points, weights = self._facet_rule()
+        points, weights = self._rule(self._reference.dim - 1)
         inside = self._reference.on_facets(numbers, points)
         sizes = shares[:, None] * self._reference.facet_measures(cells, numbers, points) * weights
         of_gradient = lambda: outward_flux(  # noqa: E731
@@ -266,8 +261,8 @@ class Report:
 
     def _is_known(self, formula: Formula) -> bool:
         """Whether a coordinate has its value before the solution is there."""
-        calls = any(isinstance(node, ast.Call) and _name(node) in FUNCTIONALS for node in ast.walk(formula.tree))
-        return not calls and not formula.names & set(self.scene.report)
+        calls = any(isinstance(node, ast.Call) and name_of(node) in FUNCTIONALS for node in ast.walk(formula.tree))
+        return not calls and not formula.names & {*self.scene.report, *BODY_QUANTITIES}
 
     def _check_part(self, formula: Formula, expression: Formula, node: ast.expr, name: str) -> None:
         facets, groups = self.level.facets, self.level.groups
@@ -321,20 +316,21 @@ class Report:
             raise InputError(formula.pointing(node, message))
 
 
-class _Inner(ast.NodeTransformer):
-    """Replaces the functionals of a formula by their values, innermost first (collective)."""
+class Numbers(ast.NodeTransformer):
+    """Replaces the functionals of a formula by numbers, innermost first, or the outer ones without a look into them."""
 
-    def __init__(self, report: Report, formula: Formula):
-        self.report, self.formula = report, formula
+    def __init__(self, number: Callable[[ast.Call], float], *, inner: bool = False):
+        self._number, self._inner = number, inner
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        self.generic_visit(node)
-        if _name(node) not in FUNCTIONALS:
-            return node
-        return ast.copy_location(ast.Constant(self.report.functional(self.formula, node)), node)
+        is_functional = name_of(node) in FUNCTIONALS
+        if self._inner or not is_functional:
+            self.generic_visit(node)
+        return ast.copy_location(ast.Constant(self._number(node)), node) if is_functional else node
 
 
-def _name(call: ast.Call) -> str:
+def name_of(call: ast.Call) -> str:
+    """The function that a call names."""
     assert isinstance(call.func, ast.Name)
     return call.func.id
 

@@ -15,10 +15,9 @@ import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.scenes import intervals
-from fenicsx_obstacle.scenes.cells import Cells
 from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
-from fenicsx_obstacle.scenes.tree_walk import TreeWalk, chosen
+from fenicsx_obstacle.scenes.tree_walk import Cells, TreeWalk, chosen
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS
 
 FEW = 2000  # cells, for which walking through a formula costs more than arithmetic

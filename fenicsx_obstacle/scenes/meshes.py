@@ -9,7 +9,7 @@ from fenicsx_obstacle.discrete import files, shapes
 from fenicsx_obstacle.discrete.levels import Level, halves_at_once, of_pair, refined
 from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
 from fenicsx_obstacle.scenes.definitions import Definitions
 
 
@@ -21,8 +21,7 @@ def build(scene: Definitions, comm: MPI.Comm) -> Level:
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
-    level, refine = _begin(scene, comm)
-    pair = scene.pair
+    level, refine, pair = _begin(scene, comm)
     while refine:
         times, dim = refine if halves_at_once(level) else 1, level.mesh.topology.dim
         check_memory(level.dofs * (2.0**times * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
@@ -41,10 +40,10 @@ def coarsest(scene: Definitions, comm: MPI.Comm, unknowns: float = 0) -> Level:
     Raises:
         InputError: As `build`.
     """
-    level, refine = _begin(scene, comm)
-    while refine and level.dofs * scene.pair.degree**level.mesh.topology.dim < unknowns:
+    level, refine, pair = _begin(scene, comm)
+    while refine and level.dofs * pair.degree**level.mesh.topology.dim < unknowns:
         level, refine = refined(level), refine - 1
-    return of_pair(level, scene.pair)
+    return of_pair(level, pair)
 
 
 def same(one: Definitions, other: Definitions) -> bool:
@@ -62,38 +61,33 @@ def _extents(scene: Definitions) -> tuple[object, ...]:
     return shape.lower, shape.upper, shape.h
 
 
-def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int]:
-    """The coarsest level, and how often to refine it."""
-    table, curved = scene.tables.mesh, scene.of_body
+def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
+    """The coarsest level, how often to refine it, and the element."""
+    table, curved, pair = scene.tables.mesh, scene.of_body, scene.pair
     refine = table.refine
     if scene.own_mesh is not None:
         level = scene.own_mesh.level(scene.source, curved=curved)
     elif table.file is not None:
         level = files.read(scene.folder / table.file, comm, curved=curved)
-        scene.use_cells(releases.cell_name(level.mesh))
+        pair = scene.pair_on(releases.cell_name(level.mesh))
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
-        unknowns = shape.vertices(2.0**refine * scene.pair.degree)
+        unknowns = shape.vertices(2.0**refine * pair.degree)
         check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
         mesh, sides, h, halvings = shapes.coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
-    try:
-        scene.pair.rule(_cells_of_rule(scene, level))
+    cell = releases.cell_name(level.mesh)
+    try:  # contact of elastic bodies has the rules of facets
+        pair.rule("triangle" if scene.of_body and cell == "tetrahedron" else cell)
     except InputError as error:
         raise InputError(f"{scene.source}: [solve] {error}") from None
-    if refine and releases.cell_name(level.mesh) not in SIMPLICES:
+    if refine and cell not in SIMPLICES:
         finer = "smaller cells in the file" if level.shape is None else "more 'cells'"
         raise InputError(f"{scene.source}: [mesh] refine is for simplices; take {finer}")
     if refine and releases.geometry_degree(level.mesh) > 1:
         raise InputError(f"{scene.source}: [mesh] refine is for straight cells, of degree 1; take smaller cells")
-    return level, refine
-
-
-def _cells_of_rule(scene: Definitions, level: Level) -> str:
-    """The cells that the rule of the pair is for: contact of elastic bodies has the rules of facets."""
-    cell = releases.cell_name(level.mesh)
-    return "triangle" if scene.of_body and cell == "tetrahedron" else cell
+    return level, refine, pair
 
 
 def shape_of(scene: Definitions) -> shapes.Shape:

@@ -19,7 +19,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.definitions import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula
-from fenicsx_obstacle.scenes.functionals import Points, Report, _name
+from fenicsx_obstacle.scenes.functionals import Numbers, Points, Report, name_of
 from fenicsx_obstacle.scenes.scene import Scene
 
 STEP = 1e-5  # relative, of central differences
@@ -35,7 +35,7 @@ def check_differentiable(scene: Scene, name: str) -> None:
     for node in ast.walk(formula.tree):
         if isinstance(node, ast.Name) and node.id in scene.report:
             check_differentiable(scene, node.id)
-        if not (isinstance(node, ast.Call) and _name(node) in FUNCTIONALS):
+        if not (isinstance(node, ast.Call) and name_of(node) in FUNCTIONALS):
             continue
         if reason := _why_not(scene, formula, node):
             raise InputError(formula.pointing(node, f"no tolerance for '{name}': {reason}"))
@@ -43,16 +43,16 @@ def check_differentiable(scene: Scene, name: str) -> None:
 
 def _why_not(scene: Scene, formula: Formula, call: ast.Call) -> str | None:
     """Why a functional has no derivative; None if it has one."""
-    if _name(call) in ("sup", "inf"):
+    if name_of(call) in ("sup", "inf"):
         return "a maximum or minimum is not differentiable"
     needs = scene.needs(formula.part(call.args[0]))
     if "contact" in needs:
         return "the contact set does not depend on u differentiably"
-    if any(isinstance(node, ast.Call) and _name(node) in FUNCTIONALS for node in ast.walk(call) if node is not call):
+    if any(isinstance(node, ast.Call) and name_of(node) in FUNCTIONALS for node in ast.walk(call) if node is not call):
         return "it has an integral within an integral"
     if {node.id for node in ast.walk(call) if isinstance(node, ast.Name)} & set(scene.report):
         return "an integrand depends on another quantity"
-    if _name(call) == "at" and needs & {"p", "slope", "flux"}:
+    if name_of(call) == "at" and needs & {"p", "slope", "flux"}:
         return "of values at a point only those of u have an estimate"
     if JUMP in needs or (NORMAL_FLUX in needs and len(call.args) > 2):
         return "fluxes from one side of a curve have no estimate"
@@ -82,9 +82,13 @@ class DifferentiableReport(Report):
 
     def _add(self, formula: Formula, factor: float) -> None:
         """Add the derivative of a formula, times a factor (collective)."""
-        outer = _Outer()
-        rest = outer.visit(deepcopy(formula.tree))
-        calls = outer.calls
+        calls: list[ast.Call] = []
+
+        def noted(call: ast.Call) -> float:
+            calls.append(call)
+            return 0.0
+
+        rest = Numbers(noted).visit(deepcopy(formula.tree))
         values = [self.functional(formula, call) for call in calls]
         names = {node.id for node in ast.walk(rest) if isinstance(node, ast.Name)}
         earlier = sorted(names & set(self.scene.report))
@@ -93,7 +97,8 @@ class DifferentiableReport(Report):
 
         def value(numbers: list[float], changes: Mapping[str, float]) -> float:
             self.values = {**kept, **changes}
-            found = self._number(formula.part(_Outer(numbers).visit(deepcopy(formula.tree))))
+            following = iter(numbers)
+            found = self._number(formula.part(Numbers(lambda _: next(following)).visit(deepcopy(formula.tree))))
             self.values = dict(kept)
             return found
 
@@ -109,7 +114,7 @@ class DifferentiableReport(Report):
     def _add_functional(self, formula: Formula, call: ast.Call, factor: float) -> None:
         """Add the derivative of an integral or of a value at a point, times a factor (collective)."""
         expression = formula.part(call.args[0])
-        if _name(call) == "at":
+        if name_of(call) == "at":
             _, cells, weights = self._locate(formula, call, call.args[1:])
             shares = np.full((len(cells), 1), 1.0 / total(self.level.comm, len(cells)))
             self._add_points(expression, Points(cells, weights[:, None], shares), factor)
@@ -141,23 +146,3 @@ class DifferentiableReport(Report):
             slopes = self._reference.slopes(self.level.V, where)
             of_nodes = np.einsum("cp,cpd,cpnd->cn", slope, along, np.broadcast_to(slopes, (*shape, *slopes.shape[2:])))
             np.add.at(self._of_u.x.array, dofs, of_nodes)
-
-
-class _Outer(ast.NodeTransformer):
-    """Replaces the functionals of a formula by numbers, without a look into them.
-
-    Attributes:
-        calls: Those that were found.
-    """
-
-    def __init__(self, numbers: list[float] | None = None):
-        self.calls: list[ast.Call] = []
-        self._numbers = numbers
-
-    def visit_Call(self, node: ast.Call) -> ast.expr:
-        if _name(node) not in FUNCTIONALS:
-            self.generic_visit(node)
-            return node
-        self.calls.append(node)
-        value = 0.0 if self._numbers is None else self._numbers[len(self.calls) - 1]
-        return ast.copy_location(ast.Constant(value), node)

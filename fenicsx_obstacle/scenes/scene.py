@@ -16,14 +16,13 @@ from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.scenes import tables
-from fenicsx_obstacle.scenes.data_files import with_files
 from fenicsx_obstacle.scenes.definitions import Definitions
 from fenicsx_obstacle.scenes.formulas import Formula
-from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, plain
+from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, plain, with_files
 from fenicsx_obstacle.scenes.from_tables import check_body, check_exact, check_parts, effects_of, model_of
 from fenicsx_obstacle.scenes.report import check_profiles, parse_report
-from fenicsx_obstacle.scenes.settings import set_values
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.text import nearest, shown
 
@@ -155,7 +154,7 @@ class Scene(Definitions):
         """
         path = Path(path)
         raw = tables.read_toml(path)
-        set_values(raw, changes or {}, str(path))
+        tables.set_values(raw, changes or {}, str(path))
         self = cls.__new__(cls)
         self._fill(raw, str(path), path.parent, None)
         return self
@@ -168,7 +167,7 @@ class Scene(Definitions):
             InputError: If a key is unknown or a value does not fit it.
         """
         raw = msgspec.to_builtins(self.tables)
-        set_values(raw, {str(key): value for key, value in changes.items()}, self.source)
+        tables.set_values(raw, {str(key): value for key, value in changes.items()}, self.source)
         return self.with_tables(raw)
 
     def with_tables(self, raw: dict[str, Any]) -> Scene:
@@ -236,6 +235,15 @@ class Scene(Definitions):
         return [side for side in ("lower", "upper") if any(getattr(place, side) is not None for place in places)]
 
     @property
+    def quantities(self) -> dict[str, str]:
+        """The output quantities by the names that commands take, with their dotted keys in the record of a solution."""
+        forces = {f"force.{side}": f"contact.{side}.force" for side in self.sides}
+        if len(forces) == 1:
+            forces["force"] = next(iter(forces.values()))
+        contact = {"area": "contact.area", "penetration": "penetration", **forces} if forces else {}
+        return {"energy": "energy", **contact, **{name: f"report.{name}" for name in self.report}}
+
+    @property
     def penalised(self) -> bool:
         """Whether there is an eps."""
         return bool(self.sides) and self.options.method != "vi"
@@ -254,9 +262,16 @@ class Scene(Definitions):
         """The scene with these values in its table [solve]."""
         eps = options.eps.text if isinstance(options.eps, EpsFormula) else options.eps
         solve = msgspec.structs.replace(self.tables.solve, method=options.method, start=options.start, eps=eps)
+        return self._with(tables=msgspec.structs.replace(self.tables, solve=solve), options=options)
+
+    def with_pair(self, pair: Pair) -> Scene:
+        """The scene with the element of its mesh, which the cells of a file may have chosen."""
+        return self._with(pair=pair)
+
+    def _with(self, **attributes: Any) -> Scene:
+        """A copy with other attributes."""
         new = copy(self)
-        object.__setattr__(new, "tables", msgspec.structs.replace(self.tables, solve=solve))
-        object.__setattr__(new, "options", options)
+        vars(new).update(attributes)
         return new
 
     def only_scalar(self, what: str) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import msgspec
 from msgspec import Meta, Struct
@@ -25,6 +26,12 @@ MAX_PARTS = 1000  # of the boundary
 MESHES = (".msh", ".geo", ".xdmf", ".step", ".stp")
 _PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{100}}")  # a dotted key, however it is quoted
+# msgspec's names of types, in those of TOML
+WORDS = {" | null": "", "`int`": "a whole number", "`float | str | object`": "a number, a formula or {file = ...}",
+         "`float | str | array | object`": "a number, a formula, a list of these or {file = ...}",
+         "`float | str`": "a number or a formula", "`float`": "a number", "`str`": "a text in quotes",
+         "`str | array`": "a text in quotes, or a list of these", "`array`": "a list", "`object`": "a table",
+         "`bool`": "true or false", "`date`": "a date"}  # fmt: skip
 MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
@@ -219,15 +226,7 @@ def data_table(raw: dict[str, Any], place: str) -> DataTable:
     Raises:
         InputError: Naming the key.
     """
-    try:
-        return msgspec.convert(raw, DataTable)
-    except msgspec.ValidationError as error:
-        problem = str(error).replace(" - at `$.", ": ").rstrip("`")
-        if match := re.match(r"Object contains unknown field `(.*)`", problem):
-            raise InputError(
-                f"{place}: unknown key '{match[1]}'" + nearest(match[1], DataTable.__struct_fields__)
-            ) from None
-        raise InputError(f"{place}: {problem[0].lower()}{problem[1:]}") from None
+    return _typed(raw, DataTable, place)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -285,8 +284,10 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
         )
     try:
         typed = msgspec.convert(raw, Tables)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{source}: {_in_words(str(error), raw)}") from None
+    except msgspec.ValidationError:
+        for place, kind, part in _parts(raw):
+            _typed(part, kind, f"{source}:{place}")
+        raise
     _no_idle_key(typed.mesh, raw.get("mesh", {}), source)
     for name, table in typed.profile.items():
         if not re.fullmatch(r"[\w-]+", name) or len(name.encode()) > MAX_NAME:
@@ -309,42 +310,58 @@ def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
             )
 
 
-def _in_words(message: str, raw: dict[str, Any]) -> str:
-    """msgspec's message with TOML's names for the place, the value found, and the nearest key."""
-    problem, _, path = message.partition(" - at `$")
-    path = path.rstrip("`").lstrip(".").replace("profile[...]", f"profile.{_wrong_profile(raw)}")
-    place = _place(path)
+def _parts(raw: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """The name of each part of a scene in messages, its type, and the part."""
+    kinds = {one.name: one.type for one in msgspec.structs.fields(Tables)}
+    for name, value in raw.items():
+        if name == "boundary" and isinstance(value, list | tuple):
+            yield from ((f" {part_place(k)}", BoundaryTable, part) for k, part in enumerate(value))
+        elif name == "profile" and isinstance(value, dict):
+            yield from ((f" [profile.{key}]", ProfileTable, part) for key, part in value.items())
+        elif name in ("define", "report") and isinstance(value, dict):
+            yield from ((f" [{name}] {key}", Value, part) for key, part in value.items())
+        elif name in ("title", "u") or name not in kinds:
+            yield "", Tables, {name: value}
+        else:
+            yield f" [{name}]", kinds[name], value
+
+
+def _typed(raw: Any, kind: Any, place: str) -> Any:
+    """A part of a scene as a typed structure.
+
+    Raises:
+        InputError: With TOML's names for the place, the value found, and the nearest key.
+    """
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as error:
+        problem, _, path = str(error).partition(" - at `$")
+    path = path.rstrip("`").lstrip(".")
+    place, declared, (key, *_) = f"{place} {path}".rstrip(), kind, re.split(r"[.\[]", path)
+    if key:
+        declared = {one.encode_name: one.type for one in msgspec.structs.fields(next(_structs(kind)))}[key]
     if match := re.match(r"Object contains unknown field `(.*)`", problem):
-        known, kind = _keys_at(path), "key" if path else "table or key"
-        return f"{place}unknown {kind} {_short(match[1])}" + nearest(match[1], known)
+        struct = next(_structs(declared))
+        hint = nearest(match[1], struct.__struct_encode_fields__)
+        raise InputError(f"{place} unknown {'table or key' if struct is Tables else 'key'} {_short(match[1])}{hint}")
     if match := re.match(r"Object missing required field `(.*)`", problem):
-        return f"{place}the key '{match[1]}' is missing"
-    if path in ("define[...]", "report[...]"):
-        table = path.removesuffix("[...]")
-        key, found = next((key, value) for key, value in raw[table].items() if not _is_value(value))
-        place = f"[{table}] {key} "
-    else:
-        found = _value_at(path, raw)
+        raise InputError(f"{place} the key '{match[1]}' is missing")
+    for step in re.findall(r"[^.\[\]]+", path.replace("[...]", "")):
+        raw = raw[int(step)] if step.isdigit() else raw[step]
     if problem.startswith("Invalid enum value"):
-        return f"{place}= {_short(found)} is not known" + nearest(str(found), _choices_at(path))
-    words = {" | null": "", "`int`": "a whole number", "`float | str | object`": "a number, a formula or {file = ...}",
-             "`float | str | array | object`": "a number, a formula, a list of these or {file = ...}",
-             "`float | str`": "a number or a formula", "`float`": "a number",
-             "`str`": "a text in quotes", "`str | array`": "a text in quotes, or a list of these", "`array`": "a list",
-             "`object`": "a table", "`bool`": "true or false", "`date`": "a date"}  # fmt: skip
-    for word, plain in words.items():
+        words = [word for one in (declared, *get_args(declared)) for word in get_args(one) if isinstance(word, str)]
+        raise InputError(f"{place} = {_short(raw)} is not known" + nearest(str(raw), words))
+    for word, plain in WORDS.items():
         problem = problem.replace(word, plain)
-    return f"{place}= {_short(found)}: {problem[0].lower()}{problem[1:]}"
+    raise InputError(f"{place} = {_short(raw)}: {problem[0].lower()}{problem[1:]}")
 
 
-def _wrong_profile(raw: dict[str, Any]) -> str:
-    """The name of the first profile that is none; msgspec does not say."""
-    for name, table in raw.get("profile", {}).items() if isinstance(raw.get("profile"), dict) else ():
-        try:
-            msgspec.convert(table, ProfileTable)
-        except msgspec.ValidationError:
-            return str(name)
-    return ""
+def _structs(kind: Any) -> Iterator[Any]:
+    """The structures that a value of a type may be, or hold."""
+    if hasattr(kind, "__struct_encode_fields__"):
+        yield kind
+    for part in get_args(kind):
+        yield from _structs(part)
 
 
 def _short(found: Any) -> str:
@@ -353,48 +370,63 @@ def _short(found: Any) -> str:
     return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
 
 
-def _is_value(value: Any) -> bool:
-    return isinstance(value, int | float | str) and not isinstance(value, bool)
+def set_values(raw: dict[str, Any], changes: Mapping[str, Any], source: str) -> None:
+    """Set values in tables as they stand in TOML, which are checked afterwards; tables that are missing are made.
+
+    Items of a list are counted from 0, as in `boundary.0.value`; the number after the last one adds a table.
+
+    Raises:
+        InputError: If a key is below a number or a text, a list has no such item, or a new name of [define] is used
+            nowhere.
+    """
+    defined = raw.get("define")
+    had = set(defined) if isinstance(defined, dict) else set[str]()
+    for key, value in changes.items():
+        *steps, last = key.split(".")
+        table: Any = raw
+        for step in steps:
+            table = _inner(table, step, key, source)
+        if isinstance(table, dict):
+            table[last] = value
+        else:
+            table[_item(table, last, key, source, len(table))] = value
+    for key in changes:
+        path, _, name = key.rpartition(".")
+        used = re.compile(rf"\b{re.escape(name)}\b")
+        if path == "define" and name not in had and not any(map(used.search, _texts(raw))):
+            raise InputError(
+                f"{source}: [define] has no '{name}', and no formula uses it" + (nearest(name, had) if had else "")
+            )
 
 
-def _place(path: str) -> str:
-    """'mesh.cells' -> '[mesh] cells ', 'boundary[0].on' -> '[[boundary]] (no. 1) on '."""
-    table, _, key = path.partition(".")
-    if match := re.match(r"boundary\[(\d+)\]", table):
-        table = part_place(int(match[1]))
-    elif key or table in Tables.__struct_fields__[2:]:
-        table = f"[{table}]"
-    return " ".join(part for part in (table, key) if part) + (" " if path else "")
+def _inner(table: Any, step: str, key: str, source: str) -> Any:
+    """The table or list of this name or number within a table or list."""
+    if isinstance(table, dict):
+        inner = table.setdefault(step, [] if step == "boundary" else {})
+    else:
+        number = _item(table, step, key, source, len(table) + 1)
+        if number == len(table):
+            table.append({})
+        inner = table[number]
+    if isinstance(inner, tuple):
+        inner = list(inner)
+        table[step if isinstance(table, dict) else int(step)] = inner
+    if not isinstance(inner, dict | list):
+        raise InputError(f"{source}: {key}: not a key that can be set: {step} is no table")
+    return inner
 
 
-def _table_type(path: str) -> Any:
-    kinds = {"mesh": MeshTable, "obstacle": ObstacleTable, "exact": ExactTable, "solve": SolveTable,
-             "time": TimeTable, "profile": ProfileTable}  # fmt: skip
-    name, _, key = path.partition(".")
-    if key in ("lower", "upper", "value", "start", "velocity", *ACTING):
-        return DataTable
-    return BoundaryTable if name.startswith("boundary") else kinds.get(name, Tables)
+def _item(items: list[Any], step: str, key: str, source: str, count: int) -> int:
+    """The number of an item of a list, below `count`."""
+    if not re.fullmatch(r"\d{1,4}", step) or int(step) >= count:
+        wanted = f"; take a number from 0 to {count - 1}" if count else ", which is empty"
+        raise InputError(f"{source}: {key}: '{step}' is no item of the list{wanted}")
+    return int(step)
 
 
-def _keys_at(path: str) -> tuple[str, ...]:
-    return _table_type(path).__struct_encode_fields__
-
-
-def _choices_at(path: str) -> list[str]:
-    """Allowed words of a Literal field."""
-    key = path.partition(".")[2]
-    for info in msgspec.structs.fields(_table_type(path)):
-        if info.name == key:
-            described = msgspec.inspect.type_info(info.type)
-            options = getattr(described, "types", (described,))
-            return [word for option in options for word in getattr(option, "values", ())]
-    return []
-
-
-def _value_at(path: str, raw: Any) -> Any:
-    for step in re.findall(r"[^.\[\]]+", path.replace("[...]", "")):
-        try:
-            raw = raw[int(step)] if step.isdigit() else raw[step]
-        except (KeyError, IndexError, TypeError):
-            return raw
-    return raw
+def _texts(value: Any) -> Iterator[str]:
+    """All texts within tables and lists, but no keys."""
+    if isinstance(value, str):
+        yield value
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
+        yield from _texts(part)

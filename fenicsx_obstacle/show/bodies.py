@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fenicsx_obstacle.discrete.cells import chains
 from fenicsx_obstacle.show.boundary import Patch, rim
 from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank, legend_below
 from fenicsx_obstacle.show.maps import draw_edges, heights, pressures
@@ -82,21 +83,10 @@ def _curves(edges: np.ndarray, ours: np.ndarray) -> list[np.ndarray]:
         edges: Of the boundary, pairs of points.
         ours: The point of each contact node.
     """
-    node_of = dict(zip(ours.tolist(), range(len(ours)), strict=True))
-    beside: dict[int, list[int]] = {number: [] for number in range(len(ours))}
-    for a, b in edges.tolist():
-        if a in node_of and b in node_of:
-            beside[node_of[a]].append(node_of[b])
-            beside[node_of[b]].append(node_of[a])
-    found, left = list[np.ndarray](), dict.fromkeys(sorted(beside, key=lambda number: len(beside[number])))
-    while left:  # from an end, where there is one
-        curve = [next(iter(left))]
-        del left[curve[0]]
-        while further := [number for number in beside[curve[-1]] if number in left]:
-            curve.append(further[0])
-            del left[further[0]]
-        found.append(np.array(curve))
-    return sorted(found, key=min)
+    node_of = np.full(max(edges.max(), ours.max()) + 1, -1)
+    node_of[ours] = np.arange(len(ours))
+    ends = node_of[edges]
+    return sorted(chains(ends[(ends >= 0).all(axis=1)], len(ours)), key=min)
 
 
 def _profile(upper: Any, lower: Any, nodes: ContactTable, curves: Sequence[np.ndarray]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,15 +36,8 @@ def against_seconds(rows: Rows) -> Any:
     measured = norms(rows)
     page, every = panels(len(measured) + 1, 11.5, 3.6)
     for axes, norm in zip(every, measured, strict=False):
-        lines = _lines(rows, norm)
-        for name, part in lines.items():
-            axes.loglog([row["seconds"] for row in part], [relative(row, norm) for row in part], **_look(name))
+        _draw(axes, rows, norm, lambda row: row["seconds"], floor=True)
         axes.set(title=NORMS[norm], xlabel="seconds, mesh and estimate included", ylabel="relative error")
-        if lines:
-            _floor(axes, rows, norm)
-            log_ticks(axes)
-        else:
-            _nothing(axes)
     every[-1].axis("off")
     _legend(every[-1], rows)
     page.suptitle(_title(rows, "What accuracy costs"), fontsize=11)
@@ -60,17 +53,11 @@ def against_prices(rows: Rows) -> Any:
         "memory of the row, MB": lambda row: max(row["memory_mb"], 0.1),
         "unknowns": lambda row: row["dofs"],
     }
-    lines = _lines(rows, "energy")
     for axes, (label, value) in zip(every, keys.items(), strict=True):
-        for name, part in lines.items():
-            axes.loglog([value(row) for row in part], [relative(row, "energy") for row in part], **_look(name))
+        _draw(axes, rows, "energy", value)
         axes.set(xlabel=label, ylabel="relative error, energy norm")
         axes.xaxis.label.set_fontsize(8.5)
-        if lines:
-            log_ticks(axes)
-        else:
-            _nothing(axes)
-    if lines:
+    if _lines(rows, "energy"):
         _legend(every[0], rows, inside=True)
     page.suptitle(_title(rows, "The same error against other costs"), fontsize=11)
     return page
@@ -189,19 +176,21 @@ def _lines(rows: Rows, norm: str) -> dict[str, list[Any]]:
     return found
 
 
-def _nothing(axes: Any) -> None:
-    """In place of lines."""
-    axes.set(xticks=[], yticks=[])
-    axes.text(0.5, 0.5, "all errors are smaller than the\nuncertainty of the reference", ha="center",
-              va="center", fontsize=9, color=_GREY, transform=axes.transAxes)  # fmt: skip
-
-
-def _floor(axes: Any, rows: Rows, norm: str) -> None:
-    """Draw the error due to round-off, along the rows of the default."""
-    part = [row for row in _lines(rows, norm).get("P1 auto", []) if row["floor"] > 0]
-    low = axes.get_ylim()[0]
-    if part and max(row["floor"] for row in part) > low / 1e3:
-        axes.loglog([row["seconds"] for row in part], [row["floor"] for row in part], ":", color=_GREY)
+def _draw(axes: Any, rows: Rows, norm: str, price: Callable[[Any], float], *, floor: bool = False) -> None:
+    """The error of each choice against a price of its rows, and the error due to round-off along those of the
+    default."""
+    lines = _lines(rows, norm)
+    for name, part in lines.items():
+        axes.loglog([price(row) for row in part], [relative(row, norm) for row in part], **_look(name))
+    if not lines:
+        axes.set(xticks=[], yticks=[])
+        axes.text(0.5, 0.5, "all errors are smaller than the\nuncertainty of the reference", ha="center",
+                  va="center", fontsize=9, color=_GREY, transform=axes.transAxes)  # fmt: skip
+        return
+    part = [row for row in lines.get("P1 auto", []) if floor and row["floor"] > 0]
+    if part and max(row["floor"] for row in part) > axes.get_ylim()[0] / 1e3:
+        axes.loglog([price(row) for row in part], [row["floor"] for row in part], ":", color=_GREY)
+    log_ticks(axes)
 
 
 def _look(name: str) -> dict[str, Any]:

@@ -23,7 +23,7 @@ def run_demo(folder: Path, say: Say) -> None:
     for name in ("string", "disk", "ball", "two_sided"):
         answer = solve(Scene.read(DEMOS / f"{name}.toml"))
         answer.save(folder / name)
-        drawn = report_answer(answer, folder / name, picture=True)
+        _, drawn = report_answer(answer, folder / name, picture=True)
         say(f"{answer.summary()}\n  {drawn}\n")
     studies: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
         ("disk", "h fixed: u_eps tends to the solution of the variational inequality with order eps",

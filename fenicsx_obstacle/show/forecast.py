@@ -5,7 +5,7 @@ from __future__ import annotations
 from textwrap import fill
 
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.cost_tables import duration
+from fenicsx_obstacle.show.tables import duration
 from fenicsx_obstacle.studies.forecast import Forecast, forecast
 
 BUSY = 1.2  # elapsed over processor time of a machine that does something else

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.problems.summary import lookup
 from fenicsx_obstacle.show.figures import (
     BESIDE,
     COLOURS,
@@ -24,8 +25,16 @@ from fenicsx_obstacle.show.figures import (
     style,
     terms_of,
 )
-from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, lines_of
-from fenicsx_obstacle.studies.orders import Quantity, lookup, parameter, quantities
+from fenicsx_obstacle.studies.orders import (
+    Quantity,
+    Vary,
+    along,
+    figures_of,
+    last_part,
+    lines_of,
+    parameter,
+    quantities,
+)
 from fenicsx_obstacle.text import counted, short
 
 Rows = Sequence[Mapping[str, Any]]

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, moments_of, profiles_of
+from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, compared, moments_of, profiles_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
-from fenicsx_obstacle.scenes.profiles import compared
 from fenicsx_obstacle.scenes.report import DRAWN_OF_BODIES, check_formulas, compare_place
 from fenicsx_obstacle.show.figures import (
     ABOVE,
@@ -89,9 +88,12 @@ def _write(
     answer: Answer, profile: Profile, moments: Sequence[tuple[float, Profile]], title: str, sizes: tuple[float, float],
     path: Path,
 ) -> None:  # fmt: skip
-    """The picture of a profile, and its table beside it."""
-    write_text(path.with_suffix(".csv"), as_csv(dict(moments) if moments else {None: profile}))
-    save(_drawn(_labelled(answer, profile, moments), answer.symbol, title, sizes), path)
+    """The picture of a profile, or of it at some moments, and its table beside it."""
+    columns = [(f"{t:.12g}", as_columns(one)) for t, one in moments] or [("", as_columns(profile))]
+    write_text(path.with_suffix(".csv"), as_csv([({"t": t} if t else {}, one) for t, one in columns]))
+    name = "" if answer.scene.time is None else answer.scene.time.name
+    curves = {f"{name} = {float(t):.4g}" if t else "": one for t, one in columns}
+    save(_drawn(curves, answer.symbol, title, sizes), path)
 
 
 def draw_rows(
@@ -109,23 +111,9 @@ def draw_rows(
         }
         drawn[f"profile-{name}"] = path = folder / f"profile-{name}.png"
         save(_drawn(curves, u, name), path)
-        lines = [",".join([*vary, *next(iter(curves.values()))])]
-        for row in rows:
-            values = [str(row["vary"][key]) for key in vary]
-            columns = row["profiles"][name].values()
-            lines += [",".join([*values, *(f"{x:.12g}" for x in one)]) for one in zip(*columns, strict=True)]
-        write_text(path.with_suffix(".csv"), "\n".join(lines) + "\n")
+        table = [({key: str(row["vary"][key]) for key in vary}, row["profiles"][name]) for row in rows]
+        write_text(path.with_suffix(".csv"), as_csv(table))
     return drawn
-
-
-def _labelled(
-    answer: Answer, profile: Profile, moments: Sequence[tuple[float, Profile]]
-) -> dict[str, dict[str, list[float]]]:
-    """Columns of each curve by its label: one for each moment, or the one there is."""
-    time = answer.scene.tables.time
-    if time is None or not moments:
-        return {"": as_columns(profile)}
-    return {f"{time.name} = {t:.4g}": as_columns(one) for t, one in moments}
 
 
 def _sizes(answer: Answer) -> tuple[float, float]:

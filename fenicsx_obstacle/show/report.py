@@ -19,34 +19,24 @@ from fenicsx_obstacle.show.free_boundary import write_free_boundary
 PICTURE = "answer.png"
 
 
-def report_answer(answer: Answer, folder: Path, *, picture: bool, newton: bool = False) -> str:
-    """Write free_boundary.csv, the page and, if asked for, the picture of an answer into its folder (collective).
-
-    Without `picture`, one that an earlier answer left there is removed. `newton` draws the way to the answer as well.
-
-    Returns:
-        One line: who drew it, and why; or how to draw it.
-
-    Raises:
-        InputError: If the folder cannot be written.
-    """
-    return report_command(answer, folder, None, picture=picture, newton=newton)[1]
-
-
-def report_command(
-    answer: Answer, folder: Path, started: float | None, *, picture: bool, newton: bool = False
+def report_answer(
+    answer: Answer, folder: Path, *, picture: bool, newton: bool = False, started: float | None = None
 ) -> tuple[Answer, str]:
-    """The same at the end of a command: page and answer.json get its seconds and its memory (collective).
+    """Write free_boundary.csv, the page and, if asked for, the picture of an answer into its folder (collective).
 
     Args:
         answer: That was saved in the folder.
-        folder: As for `report_answer`.
-        started: `time.perf_counter()` at the beginning of the command; None leaves the record as it is.
-        picture: As for `report_answer`.
-        newton: As for `report_answer`.
+        folder: Of the answer.
+        picture: Whether to draw it; otherwise a picture that an earlier answer left there is removed.
+        newton: Whether to draw the way to the answer as well.
+        started: `time.perf_counter()` at the beginning of a command: page and answer.json get its seconds and its
+            memory. None leaves the record as it is.
 
     Returns:
-        The answer with these values in its record, and what `report_answer` returns.
+        The answer with these values in its record; and one line: who drew it, and why, or how to draw it.
+
+    Raises:
+        InputError: If the folder cannot be written.
     """
     comm = answer.level.comm
     of_body = answer.scene.model.vector_valued  # which has nodes.csv instead of a free boundary
@@ -96,13 +86,14 @@ def report_command(
 
 def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
     """The picture of the course and, if asked for, the animation, with what is said of them (one rank)."""
-    from fenicsx_obstacle.show import time_history  # only where a scene has time
+    from fenicsx_obstacle.show.time_history import ANIMATION, MovingPicture  # only where a scene has time
 
-    said = ["", time_history.draw_course(answer, arrays, folder / time_history.HISTORY)]
-    (folder / time_history.ANIMATION).unlink(missing_ok=True)
-    if picture and time_history.is_animated(answer, arrays):
-        said.append(time_history.animate(answer, arrays, folder / time_history.ANIMATION))
-    return folder / time_history.HISTORY, "\n  ".join(said)
+    course = MovingPicture(answer, arrays, folder)
+    said = ["", course.draw()]
+    (folder / ANIMATION).unlink(missing_ok=True)
+    if picture and course.is_animated:
+        said.append(course.animate())
+    return course.path, "\n  ".join(said)
 
 
 def has_picture(answer: Answer) -> bool:

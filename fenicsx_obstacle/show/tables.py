@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from fenicsx_obstacle.problems.summary import with_uncertainty
+from fenicsx_obstacle.problems.summary import lookup, with_uncertainty
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.studies.grid import Vary, along, figures_of, last_part, line_of
-from fenicsx_obstacle.studies.orders import lookup, order, parameter, quantities
+from fenicsx_obstacle.studies.orders import Vary, along, figures_of, last_part, line_of, order, parameter, quantities
 from fenicsx_obstacle.text import counted, short
 
 _COST = (
@@ -82,7 +81,7 @@ class StudyTable:
             yield Cell("eps", "", "" if row["eps"] is None else f"{row['eps']:.1e}", 7)
         for key, name in (figures_of(row) if not self.by or row.get("report") else {}).items():
             value = lookup(row, key)
-            words = "" if value is None else with_uncertainty(row, value, ".6g", *key.split("."), short=True)
+            words = "" if value is None else with_uncertainty(row, key, ".6g", short=True)
             width = 22 if "uncertainty" in row else 11
             yield Cell(name.removesuffix(" obstacle"), "", words, width)
         for quantity in self._measured:
@@ -126,6 +125,27 @@ def columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """The lines of a table of words, each column as wide as its longest cell."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+
+
+def duration(value: float) -> str:
+    """Seconds in the unit that fits."""
+    if value < 120:
+        return f"{_two_digits(value)} s"
+    if value < 7200:
+        return f"{_two_digits(value / 60)} min"
+    return f"{_two_digits(value / 3600)} h" if value < 48 * 3600 else f"{_two_digits(value / 86400)} days"
+
+
+def megabytes(value: float) -> str:
+    """Memory in the unit that fits."""
+    if value < 1000:
+        return f"{value:.0f} MB"
+    return f"{_two_digits(value / 1e3)} GB" if value < 1e6 else f"{_two_digits(value / 1e6)} TB"
+
+
+def _two_digits(value: float) -> str:
+    """A number with two digits, without an exponent: 560, not 5.6e+02."""
+    return f"{float(f'{value:.2g}'):.15g}"
 
 
 def difference(found: Mapping[str, Any], first: str, second: str) -> str:

@@ -12,11 +12,11 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.changes import SCENE, changed
 from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.validation import check_record
 from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.scenes.catalogue import SCENE, changed
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.studies.orders import parameter
@@ -151,9 +151,12 @@ class Study:
     def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:
         """A row, and its answer where it is computed now; it is kept if so (collective)."""
         key = self._key(scene)
-        row = None if self.store is None else self._stored(self.store, key)
-        if row is not None:
-            return row, None
+        if self.store is not None and (stored := self.store.find(key)) is not None:
+            try:
+                check_record(stored)
+            except ValueError as error:
+                raise InputError(f"{self.store.path}: a row is damaged: {error}; use --fresh or --output") from None
+            return stored, None
         answer = self.solve(combination, scene)
         if self._key(scene) != key:
             raise InputError(f"{scene.source}: one of its files has changed while it was solved: run the study again")
@@ -172,16 +175,6 @@ class Study:
     def _key(self, scene: Scene) -> str:
         kind = self.by + " uncertainty" * self._uncertainty
         return "" if self.store is None else on_root(self.comm, row_key, scene, kind, self.comm.size)
-
-    def _stored(self, store: RowStore, key: str) -> Row | None:
-        """The row of a key, if it is in the store (collective)."""
-        row = store.find(key)
-        try:
-            if row is not None:
-                check_record(row)
-        except ValueError as error:
-            raise InputError(f"{store.path}: a row is damaged: {error}; use --fresh or --output") from None
-        return row
 
     def _extras(self, answer: Answer) -> Row:
         """Quantities that a study measures in addition to those of a single answer (collective)."""

@@ -6,31 +6,40 @@ A row is on the disk as soon as it is finished; after any end of the run, the ne
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
-from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.answers.adapt import Budget, Refinement
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.changes import changed
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.io.folder import content_of
-from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb
+from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb, total
+from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
-from fenicsx_obstacle.studies.cost_mesh import CostMesh, ending, floor_of, place, too_many, without_name
-from fenicsx_obstacle.studies.reference_solution import ExactReference, Truth, make_reference, read_reference, sizes_of
+from fenicsx_obstacle.studies.reference_solution import (
+    ExactReference,
+    Truth,
+    make_reference,
+    read_reference,
+    sizes_of,
+)
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 
 _log = logging.getLogger(__name__)
@@ -75,40 +84,39 @@ class CostStudy:
         self.scene = self.full.change({"exact": None, "report": {}})
         self.budget, self.folder = Budget.of(budget or DEFAULT_BUDGET), folder
         self.choices, self.ends = choices(self.full), dict[str, str]()
-        self._store: RowStore | None = None
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
 
     @read_once()
-    def run(self, on_row: OnRow, store: RowStore | None) -> list[Row]:
+    def run(self, on_row: OnRow, store: RowStore) -> list[Row]:
         """All rows (collective).
 
         Args:
             on_row: Called with each row.
-            store: Where they are kept, or None.
+            store: Where they are kept.
         """
         self._store = store
         rows = [self._find_truth()]
-        groups = list(dict.fromkeys(choice.group for choice in self.choices if not choice.adaptive))
-        for group in groups:
-            members = [choice for choice in self.choices if choice.group == group and not choice.adaptive]
-            for row in self._uniform(members):
-                rows.append(row)
-                on_row(row)
-        for choice in self.choices:
-            for row in self._adaptive(choice) if choice.adaptive else ():
-                rows.append(row)
-                on_row(row)
-        for row in self._map():
+        for row in self._rows():
             rows.append(row)
             on_row(row)
         return rows
+
+    def _rows(self) -> Iterator[Row]:
+        """The rows of all choices, and of the map (collective)."""
+        uniform = [choice for choice in self.choices if not choice.adaptive]
+        for group in dict.fromkeys(choice.group for choice in uniform):
+            yield from self._uniform([choice for choice in uniform if choice.group == group])
+        for choice in self.choices:
+            if choice.adaptive:
+                yield from self._adaptive(choice)
+        yield from self._map()
 
     def _find_truth(self) -> Row:
         """The first row: the reference solution (collective)."""
         coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
-        row = self._find(key)
+        row = self._store.find(key)
         if self.full.tables.exact is not None:
             self.truth = ExactReference(self.full, self.comm)
         else:
@@ -129,7 +137,7 @@ class CostStudy:
             row = {"choice": "", **self.truth.record}
             if self.full.tables.exact is None:
                 row["reference"] = on_root(self.comm, content_of, self.folder / REFERENCE)
-            row = self._keep(key, row)
+            row = self._store.add(key, row)
         return row
 
     def _uniform(self, members: Sequence[Choice]) -> Iterator[Row]:
@@ -139,52 +147,54 @@ class CostStudy:
             going = [choice for choice in members if choice.name not in self.ends]
             if not going:
                 return
-            context: CostMesh | str | None = None
+            mesh: CostMesh | None = None
             try:
                 for choice in going:
                     scene = self._scene_of(choice, size)
                     key = self._key(scene, choice.name)
-                    row = self._find(key)
+                    row = self._store.find(key)
                     if row is None:
-                        context = context or self._bench(scene)
-                        row = self._keep(key, self._row_of(choice, context, scene))
-                    if choice.solve.get("eps") == "h^2" and self._fixed is None:
-                        self._fixed = row.get("eps")
+                        row = {"choice": choice.name, "adaptive": False, "element": scene.pair.name}
+                        try:
+                            mesh = mesh or self._mesh(scene)
+                            row |= self._solved(mesh, scene)
+                        except (NotConverged, InputError) as error:
+                            dofs = {} if mesh is None else {"dofs": mesh.work.problem.level.dofs}
+                            row |= {**dofs, "reason": without_name(error, self.full)}
+                        row = self._store.add(key, row)
                     found[choice.name].append(row)
                     yield row
                     self._end(choice, found[choice.name], scene)
             finally:
-                if isinstance(context, CostMesh):
-                    context.close()
+                if mesh is not None:
+                    mesh.close()
                     self.truth.forget()
 
-    def _bench(self, scene: Scene) -> CostMesh | str:
-        """A solver context whose forms are compiled already, or why there is none (collective)."""
-        try:
-            key = scene.pair.name, scene.options.start
-            if key not in self._warm:
-                self._warm.add(key)
-                for method in ("penalty", "vi"):
-                    with closing(SolverContext(scene, self.comm)) as context, suppress(NotConverged, InputError):
-                        context.answer(replace(context.options, method=method, eps="auto"))
-            return CostMesh(scene, self.comm)
-        except InputError as error:
-            return without_name(error, self.full)
+    def _mesh(self, scene: Scene) -> CostMesh:
+        """A mesh on which forms are compiled already (collective).
 
-    def _row_of(self, choice: Choice, context: CostMesh | str, scene: Scene) -> Row:
-        """A row, or why there is none (collective)."""
-        row: Row = {"choice": choice.name, "adaptive": False, "element": scene.pair.name}
-        if isinstance(context, str):
-            return {**row, "reason": context}
-        try:
-            forget_peak_memory(self.comm)
-            answer = context.work.answer(scene.options)
-        except (NotConverged, InputError) as error:
-            return {**row, "dofs": context.work.problem.level.dofs, "reason": without_name(error, self.full)}
-        row |= self._figures(context.work, answer, context.before, context.distance)
-        row |= {"poisson_seconds": context.poisson, "seconds": context.work.mesh_seconds + row["solve"]}
-        row["parts"] = context.parts(answer)
-        return row
+        Raises:
+            InputError: If the scene has none.
+        """
+        key = scene.pair.name, scene.options.start
+        if key not in self._warm:
+            self._warm.add(key)
+            for method in ("penalty", "vi"):
+                with closing(SolverContext(scene, self.comm)) as context, suppress(NotConverged, InputError):
+                    context.answer(replace(scene.options, method=method, eps="auto"))
+        return CostMesh(scene, self.comm)
+
+    def _solved(self, mesh: CostMesh, scene: Scene) -> Row:
+        """The values of a row (collective).
+
+        Raises:
+            InputError, NotConverged: If there are none.
+        """
+        forget_peak_memory(self.comm)
+        answer = mesh.work.answer(scene.options)
+        row = self._figures(mesh.work, answer, mesh.before, mesh.distance)
+        spent = {"poisson_seconds": mesh.poisson, "seconds": mesh.work.mesh_seconds + row["solve"]}
+        return {**row, **spent, "parts": mesh.parts(answer)}
 
     def _figures(self, work: SolverContext, answer: Answer, before: float, distance: Distance) -> Row:
         """Values that every row has (collective)."""
@@ -206,7 +216,7 @@ class CostStudy:
         self._end(choice, found, scene)
         while choice.name not in self.ends:  # what is on the disk
             key = self._key(scene, f"{choice.name} {len(found)}")
-            row = self._find(key)
+            row = self._store.find(key)
             if row is None:
                 break
             found.append(row)
@@ -235,7 +245,7 @@ class CostStudy:
                     row = {**base, **figures, "bound": bound.record, "parts": {}}
                     row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
                     key = self._key(scene, f"{choice.name} {number}")
-                    found.append(self._keep(key, row))
+                    found.append(self._store.add(key, row))
                     self.truth.forget()
                     yield found[-1]
                     self._end(choice, found, scene)
@@ -244,7 +254,7 @@ class CostStudy:
                     forget_peak_memory(self.comm)  # of what measured the errors
         except (NotConverged, InputError) as error:
             key = self._key(scene, f"{choice.name} {len(found)}")
-            found.append(self._keep(key, {**base, "reason": without_name(error, self.full)}))
+            found.append(self._store.add(key, {**base, "reason": without_name(error, self.full)}))
             self._end(choice, found, scene)
             yield found[-1]
 
@@ -256,21 +266,22 @@ class CostStudy:
         for size in islice(uniform_meshes(self.scene), MAP_MESHES):
             scene = penalised[0].on(size)
             keys = [self._key(scene, f"map {k}") for k in range(MAP_EPS)]
-            stored = [self._find(key) for key in keys]
-            context = None if all(stored) else self._bench(scene)
-            if isinstance(context, str):
-                return
-            if context is not None and context.work.problem.level.dofs > self.budget.unknowns:
-                context.close()
-                return
-            for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
-                if row is None:
-                    assert context is not None
-                    row = self._keep(key, place(context, scene, self.truth, k))
-                yield row
-            if context is not None:
-                context.close()
-                self.truth.forget()
+            stored = [self._store.find(key) for key in keys]
+            mesh = None
+            if not all(stored):
+                try:
+                    mesh = self._mesh(scene)
+                except InputError:
+                    return
+            with closing(mesh) if mesh is not None else nullcontext():
+                if mesh is not None and mesh.work.problem.level.dofs > self.budget.unknowns:
+                    return
+                for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
+                    if row is None:
+                        assert mesh is not None
+                        row = self._store.add(key, place(mesh, scene, self.truth, k))
+                    yield row
+            self.truth.forget()
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
@@ -281,27 +292,123 @@ class CostStudy:
             self.ends[choice.name] = why
 
     def _scene_of(self, choice: Choice, size: Scene) -> Scene:
-        if choice.solve.get("eps") == FIRST:
-            choice = replace(choice, solve={**choice.solve, "eps": self._first_eps()})
-        return choice.on(size)
-
-    def _first_eps(self) -> float:
-        """h^2/mu on the first mesh (collective)."""
+        """The scene of a choice on a mesh; a fixed eps is h^2/mu on the first mesh (collective)."""
+        if choice.solve.get("eps") != FIRST:
+            return choice.on(size)
         if self._fixed is None:
             first = next(uniform_meshes(self.scene))
             with closing(SolverContext(first, self.comm)) as context:
                 self._fixed = penalty_parameter(context.problem, first.options_with(eps="h^2"))
-        return self._fixed
+        return replace(choice, solve={**choice.solve, "eps": self._fixed}).on(size)
 
     def _key(self, scene: Scene, kind: str) -> str:
         exact = self.full.tables.exact
         truth = "reference" if exact is None else repr(exact)
         return on_root(self.comm, row_key, scene, f"cost {kind} {truth}", self.comm.size)
 
-    def _find(self, key: str) -> Row | None:
-        """The row of a key, if it was finished (collective)."""
-        return None if self._store is None else self._store.find(key)
 
-    def _keep(self, key: str, row: Row) -> Row:
-        """The row on the disk, the same on all ranks (collective)."""
-        return row if self._store is None else self._store.add(key, row)
+class CostMesh:
+    """A solver context, the solution of the inequality on its mesh, and the time of a Poisson solve there."""
+
+    def __init__(self, scene: Scene, comm: MPI.Comm):
+        self.before = forget_peak_memory(comm)
+        self.work = SolverContext(scene, comm)
+        self._reference: Answer | None = None
+        self.distance = Distance(self.work.problem)
+        self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
+
+    def close(self) -> None:
+        """Free what it holds (collective)."""
+        self._reference = None
+        del self.distance
+        self.work.close()
+
+    def parts(self, answer: Answer) -> dict[str, dict[str, float]]:
+        """The part of eps: distance to the solution of the inequality on the same mesh (collective)."""
+        if answer.record["method"] == "vi":
+            self._reference = answer
+        if answer.record["eps"] is None:
+            return {}
+        if self._reference is None:
+            with suppress(NotConverged):
+                self._reference = self.work.answer(replace(self.work.scene.options, method="vi"))
+        if self._reference is None:
+            return {}
+        return {"eps": self.distance.of_u(answer.u.x.array - self._reference.u.x.array)}
+
+
+def floor_of(context: SolverContext, answer: Answer) -> float:
+    """An estimate of the relative error of u by unbalanced forces and round-off (collective).
+
+    Systems are solved until unbalanced forces are 1e-10 of the acting ones. Values of u are rounded, which causes
+    forces of machine epsilon times the stiffness of each node and u there, with random signs.
+    """
+    problem, comm = context.problem, answer.level.comm
+    step = answer.history[-1]
+    if step.forces <= 0:
+        return EPSILON
+    rounded = 0.0
+    if problem.affine and problem.level.pair.nodal:
+        u = answer.u.x.array[: problem.level.owned]
+        rounded = EPSILON * math.sqrt(total(comm, (problem.matrices.diagonal * u * ~problem.fixed) ** 2))
+    return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
+
+
+def ending(
+    rows: Sequence[Mapping[str, Any]], growth: float, dim: int, budget: Budget, comm: MPI.Comm, *, adaptive: bool
+) -> str:
+    """The reason why there is no row after these, or "" (collective).
+
+    Args:
+        rows: Of one choice.
+        growth: Of unknowns from one mesh to the next.
+        dim: Of the mesh.
+        budget: Of a row.
+        comm: Communicator.
+        adaptive: Whether seconds are those of all meshes so far.
+    """
+    if not rows:
+        return ""
+    last = rows[-1]
+    if last.get("reason"):
+        return str(last["reason"])
+    times = [row["seconds"] for row in rows]
+    if adaptive:
+        next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
+    else:
+        next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
+    if next_ > budget.seconds:
+        return f"the next mesh would take about {next_:.2g} s; the budget is {budget.seconds:g} s"
+    if growth * last["dofs"] > budget.unknowns and not adaptive:
+        return too_many(budget)
+    if growth * last["memory_mb"] > budget.megabytes:
+        return f"the next mesh would take more than the budget of {budget.megabytes:g} MB"
+    if not fits(growth * last["dofs"], dim, comm):
+        return "the next mesh would not fit into the memory of this machine"
+    return ""
+
+
+def too_many(budget: Budget) -> str:
+    """The message that a mesh exceeds a budget."""
+    return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
+
+
+def place(context: CostMesh, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
+    """One place of the map over h and eps: k powers of ten below 1/mu L^2 (collective)."""
+    problem = context.work.problem
+    h = problem.level.h
+    unit = penalty_parameter(problem, scene.options) / h**2  # 1/mu
+    eps = unit * problem.data.extent**2 * 10.0**-k
+    row: dict[str, Any] = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
+                "floor": smallest_eps(problem)}  # fmt: skip
+    try:
+        answer = context.work.answer(replace(scene.options, eps=eps))
+    except (NotConverged, InputError) as error:
+        return {**row, "reason": without_name(error, scene)}
+    row |= {"errors": truth.errors(context.work, answer), "sizes": sizes_of(context.distance, answer)}
+    return {**row, "line": answer.record.get("round_off", {}).get("line")}
+
+
+def without_name(error: Exception, scene: Scene) -> str:
+    """A message without the name of the scene, which all rows share."""
+    return str(error).removeprefix(f"{scene.source}: ")

@@ -11,14 +11,14 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.changes import SCENE, changed
 from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.problems.summary import lookup
+from fenicsx_obstacle.scenes.catalogue import SCENE, changed
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.studies.convergence import OnRow, Row, Study
-from fenicsx_obstacle.studies.grid import last_part
-from fenicsx_obstacle.studies.orders import lookup
+from fenicsx_obstacle.studies.orders import last_part
 from fenicsx_obstacle.studies.rows import RowStore, flat
 from fenicsx_obstacle.text import nearest
 
@@ -27,8 +27,6 @@ WITHIN = 1e-4  # of the interval: accuracy of the value that is found
 SMALLEST = 1e-12  # of the interval: what can be asked for
 STEEP = 10.0  # times `within`: relative change over the last interval below which a quantity is continuous
 HALVINGS = 10  # of the last interval, where the change is larger
-QUANTITIES = {"energy": "energy", "area": "contact.area", "penetration": "penetration",
-              "force.lower": "contact.lower.force", "force.upper": "contact.upper.force"}  # fmt: skip
 
 
 @checked(
@@ -73,6 +71,7 @@ class Find(Study):
         target: Its value there.
         last: The scene of the value that was found; before, of the upper end.
         rows: All rows by the value of the key, but the one that was found last.
+        found: The value of the key that was found; before, the upper end.
     """
 
     def __init__(
@@ -106,7 +105,7 @@ class Find(Study):
         self.quantity, self._place, self.target = _target(target, self.last)
         self.rows: dict[float, Row] = {}
         self._nearest: tuple[float, Answer | None] = (math.inf, None)
-        self._found = self.ends[1]
+        self.found = self.ends[1]
 
     @read_once()
     def run(self, on_row: OnRow | None = None, store: RowStore | None = None) -> list[Row]:
@@ -137,19 +136,14 @@ class Find(Study):
             return self._value(x, self.rows[x]) - self.target
 
         width = self.ends[1] - self.ends[0]
-        found = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
+        root = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
         steep = STEEP * self.within * (max(values) - min(values))
-        self._found = self._continuous(self.comm.bcast(float(found)), difference, steep)
-        self.last = self._at(self._found)
-        row = self.rows.pop(self._found)
+        self.found = self._continuous(self.comm.bcast(float(root)), difference, steep)
+        self.last = self._at(self.found)
+        row = self.rows.pop(self.found)
         rows = [*self.rows.values(), row]
         self.write_table(rows)
         return rows
-
-    @property
-    def found(self) -> float:
-        """The value of the key that was found."""
-        return self._found
 
     def reached(self, row: Row) -> float:
         """The quantity in a row."""
@@ -158,9 +152,9 @@ class Find(Study):
     def last_answer(self) -> Answer:
         """The answer of the row that was found (collective)."""
         x, answer = self._nearest
-        if answer is not None and x == self._found:
+        if answer is not None and x == self.found:
             return answer
-        return self.solve({self.key: self._found}, self.last)
+        return self.solve({self.key: self.found}, self.last)
 
     def _at(self, x: float) -> Scene:
         return self.scene({self.key: x})
@@ -234,12 +228,7 @@ def _target(text: str, scene: Scene) -> tuple[str, str, float]:
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not name or not value:
         raise InputError(f"{scene.source}: target '{text}': expected NAME = VALUE, such as force = 30")
-    sides = scene.sides
-    absent = {f"force.{side}" for side in ("lower", "upper") if side not in sides}
-    known = {one: place for one, place in QUANTITIES.items() if one == "energy" or (sides and one not in absent)}
-    if len(sides) == 1:
-        known["force"] = f"contact.{sides[0]}.force"
-    known |= {one: f"report.{one}" for one in scene.report}
+    known = scene.quantities
     if name not in known:
         raise InputError(f"{scene.source}: target '{text}': no quantity '{name}'" + nearest(name, known))
     return name, known[name], scene.number(value, f"target '{text}'")

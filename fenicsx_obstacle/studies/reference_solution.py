@@ -10,7 +10,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.adapt import Refinement
@@ -21,7 +20,6 @@ from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.estimation.norms import Distance, Exact
-from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -101,10 +99,8 @@ def contact_of(answer: Answer) -> dict[str, float]:
 
 def sizes_of(distance: Distance, answer: Answer) -> Errors:
     """The norms of the solution itself, by which errors become relative (collective)."""
-    u = answer.u.x.array
-    comm = answer.level.comm
-    sizes = {"energy": distance.energy(u), "l2": distance.l2(u), "max": largest(comm, np.abs(u)), **contact_of(answer)}
-    return {**sizes, "pressure": distance.pressure(answer.pressure.x.array)}
+    pressure = {"pressure": distance.pressure(answer.pressure.x.array)}
+    return {**distance.of_u(answer.u.x.array), **contact_of(answer), **pressure}
 
 
 def _contact_errors(answer: Answer, truth: Mapping[str, float]) -> Errors:

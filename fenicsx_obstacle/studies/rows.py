@@ -5,14 +5,12 @@ rows.jsonl is the store: one line per row ever computed in this folder. rows.csv
 
 from __future__ import annotations
 
-import csv
 import errno
 import fcntl
 import hashlib
-import io
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from stat import S_ISREG
 from typing import IO, Any
@@ -27,6 +25,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.origin import versions
 from fenicsx_obstacle.parallel import make_folder, on_root, remove_empty, write_text
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.text import csv_of
 
 
 def row_key(scene: Scene, kind: str, ranks: int) -> str:
@@ -58,8 +57,8 @@ class RowStore:
         run: Number of this run in this folder; timings are compared within one run only.
     """
 
-    def __init__(self, folder: Path, comm: MPI.Comm | None = None, *, fresh: bool = False):
-        """Open the folder; `fresh` forgets the rows in it (collective on `comm`; without one for one process alone).
+    def __init__(self, folder: Path, comm: MPI.Comm = MPI.COMM_SELF, *, fresh: bool = False):
+        """Open the folder; `fresh` forgets the rows in it (collective on `comm`, by default this process alone).
 
         Raises:
             InputError: If the folder cannot be written, or another study is writing there.
@@ -67,11 +66,11 @@ class RowStore:
         self.folder, self.path, self._comm = folder, folder / "rows.jsonl", comm
         self._rows: dict[str, dict[str, Any]] = {}
         self._lock: IO[str] | None = None
-        self.run: int = self._on_root(self._open, fresh)
+        self.run: int = on_root(self._comm, self._open, fresh)
 
     def find(self, key: str) -> dict[str, Any] | None:
         """The row of this key, if it was ever finished here (collective)."""
-        found: dict[str, Any] | None = self._on_root(self._rows.get, key)
+        found: dict[str, Any] | None = on_root(self._comm, self._rows.get, key)
         return found
 
     def keys(self) -> list[str]:
@@ -87,12 +86,12 @@ class RowStore:
         Raises:
             InputError: If the disk is full or gone.
         """
-        kept: dict[str, Any] = self._on_root(self._add, {"key": key, "run": self.run, **row})
+        kept: dict[str, Any] = on_root(self._comm, self._add, {"key": key, "run": self.run, **row})
         return kept
 
     def write_table(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """rows.csv: the rows of this study so far (collective)."""
-        self._on_root(lambda: write_text(self.folder / "rows.csv", as_csv(rows)))
+        on_root(self._comm, lambda: write_text(self.folder / "rows.csv", as_csv(rows)))
 
     def close(self) -> None:
         """Unlock the folder; without a row the file is removed (no MPI calls)."""
@@ -102,9 +101,6 @@ class RowStore:
             Path(self._lock.name).unlink(missing_ok=True)
         self._lock.close()
         remove_empty(self._made)
-
-    def _on_root(self, action: Callable[..., Any], *args: Any) -> Any:
-        return action(*args) if self._comm is None else on_root(self._comm, action, *args)
 
     def _open(self, fresh: bool) -> int:
         """Lock the folder and read its rows; the number of this run."""
@@ -192,10 +188,4 @@ def flat(row: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as text with one head for all."""
     # profiles have files of their own
-    kept = [{key: value for key, value in row.items() if key != "profiles"} for row in rows]
-    text, flattened = io.StringIO(), [flat(row) for row in kept]
-    heads = list(dict.fromkeys(key for row in flattened for key in row))
-    writer = csv.DictWriter(text, heads, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(flattened)
-    return text.getvalue()
+    return csv_of([flat({key: value for key, value in row.items() if key != "profiles"}) for row in rows])

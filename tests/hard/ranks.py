@@ -37,7 +37,7 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
         points = gathered(level.comm, level.points.T[: level.owned])
         order = None if points is None else _by_place(points)
         for method in ("vi", *METHODS):
-            context.answer(replace(context.options, method=method, eps=TRIAL))
+            context.answer(replace(context.scene.options, method=method, eps=TRIAL))
             solved = take(context, ground, None if method == "vi" else TRIAL)
             energy = np.array([solved.energy or 0.0, energy_round_off(solved) if solved.energy is not None else 0.0])
             for name, values in (("u", solved.w + solved.r), ("p", solved.p), ("z", solved.z), ("q", solved.q)):

@@ -36,7 +36,7 @@ def digits(comm: MPI.Comm) -> Found:
     direct = defaults("penalty_", DIRECT), defaults("vi_", DIRECT)
     with direct[0], direct[1], closing(SolverContext(sample("disk", 32), comm)) as context:
         problem = context.problem
-        vi = context.answer(replace(context.options, method="vi")).pressure.x.array[: problem.level.owned]
+        vi = context.answer(replace(context.scene.options, method="vi")).pressure.x.array[: problem.level.owned]
         size = largest(comm, np.abs(vi))
         last_digit = largest(comm, np.spacing(np.abs(problem.obstacles()[1])))
         for eps in EPS:

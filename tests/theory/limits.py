@@ -63,12 +63,12 @@ def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> A
         problem = context.problem
         distance, D, own = Distance(problem), problem.weights, problem.level.owned
         side = 1.0 if problem.above is not None else -1.0
-        reference = context.answer(replace(context.options, method="vi"))
+        reference = context.answer(replace(context.scene.options, method="vi"))
         p, height = reference.pressure.x.array[:own], reference.record["u_range"]
         limit, most = total(comm, D * p**2), largest(comm, np.abs(p))
         before = None
         for eps in epsilons:
-            answer = context.answer(replace(context.options, eps=eps))
+            answer = context.answer(replace(context.scene.options, eps=eps))
             excess = side * (answer.u.x.array - reference.u.x.array)
             mine = answer.pressure.x.array[:own]
             seen.energy.append(distance.energy(excess))
@@ -149,7 +149,7 @@ def extremes(comm: MPI.Comm) -> list[Finding]:
 def _solved(scene: Scene, comm: MPI.Comm) -> tuple[float, float]:
     """Largest |u_eps| and |p_eps| at eps = 1e-6."""
     with closing(SolverContext(scene, comm)) as context:
-        answer = context.answer(replace(context.options, eps=1e-6))
+        answer = context.answer(replace(context.scene.options, eps=1e-6))
     return largest(comm, np.abs(answer.u.x.array)), largest(comm, np.abs(answer.pressure.x.array))
 
 
