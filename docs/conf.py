@@ -17,12 +17,13 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_click",
     "mathml",
+    "measured",
     "notebooks",
     "packages",
     "pictures",
     "plain_docstrings",
 ]
-exclude_patterns = ["_extensions", "out"]
+exclude_patterns = ["_extensions", "measured", "out", "paper"]
 
 # generated and not committed: every module of the package, with everything that has a docstring
 apidoc_modules = [

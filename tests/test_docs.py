@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -153,6 +154,11 @@ def test_what_is_named_is_there(page):
             assert any((place / path).exists() for place in places), f"{page.name}: {path}"
         for test in re.findall(r"(?<![\w/])test_\w+(?!\.py)\b", words):
             assert f"def {test}(" in tests, f"{page.name}: {test}"
+
+
+def test_numbers_are_measured():
+    """Tables and numbers of the pages are those of docs/measured."""
+    assert runpy.run_path(str(ROOT / "docs" / "_extensions" / "measured.py"))["faults"]() == []
 
 
 def described(page):
