@@ -22,6 +22,7 @@ extensions = [
     "packages",
     "pictures",
     "plain_docstrings",
+    "statements",
 ]
 exclude_patterns = ["_extensions", "measured", "out", "paper"]
 
