@@ -23,7 +23,12 @@ NUMBER = re.compile(r"(?<![\w.^-])(\d+(?:\.(\d+))?(?:e(-?\d+))?)(?![\w.]*\w)")
 def pages() -> list[Path]:
     """README.md, the paper, and the pages in docs."""
     docs = ROOT / "docs"
-    return [ROOT / "README.md", docs / "paper" / "paper.md", *sorted(docs.glob("*.md")), *sorted(docs.glob("tables/*.md"))]
+    return [
+        ROOT / "README.md",
+        docs / "paper" / "paper.md",
+        *sorted(docs.glob("*.md")),
+        *sorted(docs.glob("tables/*.md")),
+    ]
 
 
 def stored(name: str) -> dict[str, Any]:

@@ -10,7 +10,8 @@ ROOT = Path(__file__).parent.parent.parent
 FOLDER = ROOT / "tests" / "theory"
 HEAD = """# Statements and their code
 
-This table is made from the code. `./obstacle theory NUMBER` checks a statement, and also takes the other numbers; `./obstacle theory` checks all. {doc}`../theory` has the results.
+This table is made from the code. `./obstacle theory NUMBER` checks a statement, and also takes the other numbers;
+`./obstacle theory` checks all. {doc}`../theory` has the results.
 
 | number | statement | other numbers | code |
 | --- | --- | --- | --- |
