@@ -30,7 +30,8 @@ from tests.conftest import CLEAN, DEMOS, slow_except
 pytestmark = pytest.mark.serial
 
 ROOT = DEMOS.parent
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")),
+         *sorted((ROOT / "docs" / "tables").glob("*.md"))]  # fmt: skip
 OF_LAUNCHER = {"test", "pytest", "docs", "coverage"}  # commands that the command line has not
 LAUNCHER = """#!/bin/bash
 ranks=1
