@@ -18,9 +18,9 @@ from typing import Any, Protocol
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, solve
-from tests.random.families.curves import CIRCLES, Inclusion, Pole
+from tests.random.families.curves import Inclusion, Pole
 from tests.random.families.elements import Field
-from tests.random.families.layers import SPELLINGS, Layers, Waves
+from tests.random.families.layers import Layers, Waves
 
 MESH = {"shape": "rectangle", "cells": 16}
 UNIFORM: list[dict[str, Any]] = [{"bound": True}, {"bound": True, "element": "P2"}]
@@ -40,12 +40,12 @@ class Known(Protocol):
 
 def layers(contrast: float) -> Layers:
     """Two layers; the jump is nearer to a mesh line than any quadrature point."""
-    return Layers(MESH, {}, 0.0, (0.503,), (contrast, 1.0), 0.0, SPELLINGS[0])
+    return Layers(MESH, {}, 0, 0.0, (0.503,), (contrast, 1.0), 0.0)
 
 
 def disc(contrast: float, radius: float = 0.517) -> Inclusion:
     """A quarter of a disc in a square."""
-    return Inclusion(MESH, {}, (0.0, 0.0), radius, contrast, CIRCLES[0])
+    return Inclusion(MESH, {}, 0, radius, contrast)
 
 
 def main() -> None:
@@ -57,9 +57,9 @@ def main() -> None:
     options = parser.parse_args()
     known: dict[str, Known] = {
         "where(x < 0.503, 2, 1)": layers(2.0), "where(x < 0.503, 10, 1)": layers(10.0),
-        "where(r < 0.517, 1e6, 1)": disc(1e6), "1/(1.01 + sin(150*x))": Waves(MESH, {}, "compliance", 1.01, 150.0),
-        "load of u = r^1.1": Pole(MESH, {}, (0.0, 0.0), 1.1, 1.0, 0.0),
-        "load of u = r^0.1, cut at 1e-12": Pole(MESH, {}, (0.0, 0.0), 0.1, 1.0, 1e-12),
+        "where(r < 0.517, 1e6, 1)": disc(1e6), "1/(1.01 + sin(150*x))": Waves(MESH, {}, 0, "compliance", 1.01, 150.0),
+        "load of u = r^1.1": Pole(MESH, {}, 0, 1.1, 1.0, 0.0),
+        "load of u = r^0.1, cut at 1e-12": Pole(MESH, {}, 0, 0.1, 1.0, 1e-12),
     }  # fmt: skip
     show([row(name, one, asked) for name, one in known.items() for asked in UNIFORM])
     adaptive = {"tol": options.tol, "budget": options.budget}
@@ -87,7 +87,7 @@ def row(name: str, known: Known, asked: dict[str, Any]) -> list[str]:
 def without() -> dict[str, Callable[[], Scene]]:
     """Scenes of the same square that have no certificate."""
     ends = [{"where": "x == 0 and y < 0.311", "value": 0}]
-    pole = Pole(MESH, {}, (0.0, 0.0), 0.1, 1.0, 0.0)
+    pole = Pole(MESH, {}, 0, 0.1, 1.0, 0.0)
     return {
         "a boundary value that jumps": lambda: square(boundary=[{"value": "where(x < 0.503, 0, 1)"}]),
         "a boundary part that ends inside an edge": lambda: square(load=-1, boundary=ends),

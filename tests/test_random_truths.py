@@ -17,7 +17,7 @@ from tests.random.families.equilibria import Feeble
 from tests.random.families.files import torsion
 from tests.random.families.films import Film
 from tests.random.families.integrals import Circle, Pieces, energy_error
-from tests.random.families.layers import SPELLINGS, WAVES, LayersInContact, Waves
+from tests.random.families.layers import WAVES, LayersInContact, Waves
 from tests.random.families.solid_meshes import inscribed_ball, solid
 from tests.random.families.solids import Solid
 
@@ -121,7 +121,7 @@ def test_solids_are_filled(shape):
 
 def test_layers_in_contact():
     """u' of the truth falls from 0 to the obstacle's depth and comes back; on a fine mesh u_h is near to it."""
-    one = LayersInContact({**SQUARE, "cells": 64}, {}, (0.25, 0.75), (3.0, 1.0, 0.5), 4.0, 0.45, 0.8, SPELLINGS[2])
+    one = LayersInContact({**SQUARE, "cells": 64}, {}, 2, (0.25, 0.75), (3.0, 1.0, 0.5), 4.0, 0.45, 0.8)
     depth, begin, end = one.truth()
     assert 0 < begin < 0.45 < end < 1
     x = (np.arange(100000) + 0.5) / 100000
@@ -137,9 +137,9 @@ def test_layers_in_contact():
 @pytest.mark.parametrize("kind", list(WAVES))
 def test_waves(kind):
     """The norm of the truth: energy = flux times the difference of the ends."""
-    waves = Waves(SQUARE, {}, kind, 1.5, 23.0)
+    waves = Waves(SQUARE, {}, 0, kind, 1.5, 23.0)
     x = (np.arange(400000) + 0.5) / 400000
-    flux = 1 / np.mean(1 / WAVES[kind][1](x, 1.5, 23.0))
+    flux = 1 / np.mean(1 / waves.tension().at(x, x))
     assert waves.error(Field(function(1)))[1] ** 2 == pytest.approx(flux, rel=1e-4)
 
 

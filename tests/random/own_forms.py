@@ -274,8 +274,7 @@ class Verdict:
 
 def attempt(form: OwnForm, **options: Any) -> tuple[Any, str]:
     """A solution, or None and the error; with the warnings (collective)."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         try:
             found = form.problem().solve(**options)
         except ObstacleError as error:

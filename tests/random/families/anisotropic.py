@@ -9,14 +9,9 @@ import numpy as np
 import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
-from mpi4py import MPI
 from sympy import Expr
 
-from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.closed import Piecewise, distance, expression, x, y
-from tests.random.families.elements import Field
-from tests.random.families.integrals import energy_error
-from tests.random.families.meshes import made
+from tests.random.families.manufactured import Piecewise, distance, expression, x, y
 from tests.random.families.touching import Touching, touching
 
 ANGLES = ("0", "0.4", "0.785398", "1.9", "x - y", "0.5*x*y", "1.5*x", "4*y")
@@ -68,23 +63,9 @@ class Anisotropic(Touching):
         texts = [[f"({entry.parts[0][1]})" if uniform else entry.text(self.spelling) for entry in row] for row in rows]
         return {**super().data(), "tension": texts}
 
-    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-        """The scene (collective)."""
-        return Scene(mesh=made(self.mesh, comm), boundary=[{"value": self.value()}], **self.data())
-
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, and the norm of u (collective)."""
-        slopes = [[part.map(lambda value, s=s: sympy.diff(value, s)) for part in self.u()] for s in (x, y)]
-
-        def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            along, across = (sum((part.at(x, y) for part in parts), np.zeros(x.shape)) for parts in slopes)
-            return along, across
-
-        def tension(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            rows = self.entries()
-            return np.stack([np.stack([entry.at(x, y) for entry in row], axis=1) for row in rows], axis=1)
-
-        return energy_error(field, self.nodes(field), tension, gradient)
+    def stiffness(self, px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        """The matrices at points."""
+        return np.stack([np.stack([entry.at(px, py) for entry in row], axis=1) for row in self.entries()], axis=1)
 
 
 def _matrix(angle: str, ratio: float) -> list[list[Expr]]:
@@ -105,23 +86,8 @@ def anisotropic(draw: st.DrawFn) -> Anisotropic:
     angle, ratio = draw(direction)
     beyond = draw(st.one_of(st.none(), direction)) if base.kind == "half" else None
     obstacle = base.obstacle if beyond is None else str(sympy.expand(-0.7 * distance(base._line) ** 2))
-    found = Anisotropic(
-        base.mesh,
-        {**base.options, "element": "P1"},
-        base.spelling,
-        base.kind,
-        base.angles,
-        base.place,
-        base.width,
-        base.size,
-        obstacle,
-        base.pressure,
-        base.change,
-        base.upper,
-        "1",
-        angle,
-        ratio,
-        beyond,
-    )
+    found = Anisotropic(**{
+        **vars(base), "options": {**base.options, "element": "P1"}, "obstacle": obstacle, "stiff": "1",
+    }, angle=angle, ratio=ratio, beyond=beyond)  # fmt: skip
     assume(found.short)
     return found

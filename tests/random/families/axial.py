@@ -13,23 +13,21 @@ import numpy as np
 import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
-from mpi4py import MPI
 from sympy import Expr
 
-from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.closed import (
+from tests.random.families.manufactured import (
     Circle,
-    ClosedForm,
     Curve,
     Line,
+    Manufactured,
     Piecewise,
+    everywhere,
     expression,
+    load_of,
     square,
     x,
     y,
 )
-from tests.random.families.elements import Field
-from tests.random.families.integrals import energy_error
 from tests.random.families.meshes import DIAGONALS
 from tests.random.families.strategies import place, power
 
@@ -41,13 +39,12 @@ ANY = (*EVEN, "x", "x*y - x**3", "sin(3*x + y)", "log(x)", "sqrt(x)*y")
 EVEN_TENSIONS = ("1", "1", "0.01", "1 + x**2", "exp(x**2/4 - y)", "2 + sin(5*y)*cos(3*x**2)")
 TENSIONS = (*EVEN_TENSIONS, "1 + x", "exp(x - y)", "1/x", "x**2")
 FOUNDATIONS = ("0", "0", "0", "3", "300", "1 + x**2 + y**2")
-NORMALS = {"right": (1, 0), "top": (0, 1), "bottom": (0, -1)}
+FREE = ("bottom", "right", "top")  # sides where u may be free
 SPRING = "5"
-LEVELS = 12  # Gauss points in each part of an interval
 
 
 @dataclass(frozen=True)
-class Axial(ClosedForm):
+class Axial(Manufactured):
     """u = obstacle + w, w = 0 in the contact set; or two tensions in a pipe, u the logarithm.
 
     Attributes:
@@ -62,7 +59,7 @@ class Axial(ClosedForm):
         pressure: In contact.
         lowered: Whether the obstacle has a kink and falls off where u is far from it.
         upper: Whether all is upside down.
-        foundation: A formula.
+        bed: A formula, of the foundation.
         sides: Where a flux is given.
         sprung: Whether there are springs too.
     """
@@ -77,7 +74,7 @@ class Axial(ClosedForm):
     pressure: str
     lowered: bool
     upper: bool
-    foundation: str
+    bed: str
     sides: tuple[str, ...]
     sprung: bool
 
@@ -127,17 +124,16 @@ class Axial(ClosedForm):
         stiff = self._of(self.stiff)
         return self._parts(stiff, stiff)
 
+    def foundation(self) -> Piecewise | None:
+        return everywhere(self._of(self.bed)) if self.bed != "0" else None
+
+    def weight(self, px: np.ndarray) -> np.ndarray:
+        return px
+
     def data(self) -> dict[str, Any]:
-        (u,), tension, k = self.u(), self.tension(), self._of(self.foundation)
-
-        def forces(u: Expr, tension: Expr) -> Expr:
-            across = sympy.expand(sympy.diff(u, x)) / x
-            return sympy.expand(
-                -sum(sympy.diff(tension * sympy.diff(u, s), s) for s in (x, y)) - tension * sympy.expand(across) + k * u
-            )
-
+        (u,), tension, k = self.u(), self.tension(), self._of(self.bed)
         found = {"tension": tension.text(self.spelling), "axial_symmetry": True}
-        load = u.map(forces, tension)
+        load = u.map(lambda u, tension: sympy.expand(load_of(u, tension, k, axial=True)), tension)
         if self.kind not in ("none", "pipe"):
             sign = -1 if self.upper else 1
             pressed, phi = sign * self._of(self.pressure), self._curve()[1]
@@ -150,68 +146,16 @@ class Axial(ClosedForm):
                 low = f"{low} - 0.7*max(0, {-phi if outside else phi} - {self.radius / 9!r})"
             found["upper" if self.upper else "lower"] = f"{'-' if self.upper else ''}({low})"
         found["load"] = load.text(self.spelling)
-        if self.foundation != "0":
+        if self.bed != "0":
             found["foundation"] = str(k)
         return found
 
     def boundary(self) -> list[dict[str, Any]]:
         """The parts of the boundary."""
-        names = ["left", "right"] if self.mesh["shape"] == "interval" else ["left", *NORMALS]
+        names = ["left", "right"] if self.mesh["shape"] == "interval" else ["left", "right", "top", "bottom"]
         given = [side for side in names if side not in self.sides and not (side == "left" and self._on_axis)]
-        parts: list[dict[str, Any]] = [{"on": given, "value": self.value()}] if given else []
-        (u,), tension = self.u(), self.tension()
-        for side in self.sides:
-            normal = NORMALS[side]
-            flux = u.map(
-                lambda u, tension, n=normal: tension * (n[0] * sympy.diff(u, x) + n[1] * sympy.diff(u, y)), tension
-            ).text(self.spelling)
-            more = {"spring": SPRING} if self.sprung else {}
-            parts.append({"on": side, "flux": f"{flux} + {SPRING}*({self.value()})" if self.sprung else flux, **more})
-        return parts
-
-    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-        """The scene (collective)."""
-        return Scene(mesh=self.mesh, boundary=self.boundary(), **self.data())
-
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, from below, with the energy of the foundation but not of springs; the norm of u (collective)."""
-        (u,), stiff = self.u(), self.tension()
-        slopes = [u.map(lambda value, s=s: sympy.diff(value, s)) for s in (x, y)]
-        k = Piecewise([((), self._of(self.foundation))])
-        if self.mesh["shape"] == "interval":
-            ends = np.sort(field.vertices[:, :, 0], axis=1)
-            cells, middle = np.arange(len(ends)), np.clip(self.radius, ends[:, 0], ends[:, 1])
-            t, weights = np.polynomial.legendre.leggauss(LEVELS)
-            points = np.concatenate(
-                [a[:, None] + (b - a)[:, None] * (t + 1) / 2 for a, b in ((ends[:, 0], middle), (middle, ends[:, 1]))],
-                1,
-            )
-            measure = np.concatenate([(b - a)[:, None] * weights / 2 for a, b in ((ends[:, 0], middle),
-                                                                                 (middle, ends[:, 1]))], 1)  # fmt: skip
-            zero = np.zeros(points.shape)
-            measure = measure * points
-            true, mu = slopes[0].at(points, zero), stiff.at(points, zero)
-            off = field.gradient(cells, points[..., None])[..., 0] - true
-            apart = field.at(cells, points[..., None]) - u.at(points, zero)
-            found = np.array([np.sum(measure * (mu * off**2 + k.at(points, zero) * apart**2)),
-                              np.sum(measure * mu * true**2)])  # fmt: skip
-            error, norm = np.sqrt(field.comm.allreduce(found))
-            return float(error), float(norm)
-        nodes = self.nodes(field)
-
-        def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return slopes[0].at(x, y), slopes[1].at(x, y)
-
-        error, norm = energy_error(field, nodes, lambda x, y: x * stiff.at(x, y), gradient)
-        px, py = nodes.points.T
-        off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - u.at(px, py)
-        more = field.comm.allreduce(float(nodes.weights @ (px * k.at(px, py) * off**2)))
-        return float(np.hypot(error, np.sqrt(more))), norm
-
-    @property
-    def short(self) -> bool:
-        """Whether all its formulas are short enough for a scene."""
-        return super().short and all(len(part.get("flux", "")) < 4000 for part in self.boundary())
+        return [*([{"on": given, "value": self.value()}] if given else []),
+                *(self.natural(side, SPRING if self.sprung else "") for side in self.sides)]  # fmt: skip
 
 
 @st.composite
@@ -235,7 +179,7 @@ def axial(draw: st.DrawFn) -> Axial:
     tolerance = draw(st.sampled_from([None] * 6 + [0.3, 0.1]))
     asked = {"bound": True} if tolerance is None else {"tol": tolerance, "budget": "500 unknowns"}
     asked |= draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
-    sides = draw(st.lists(st.sampled_from(["right"] if flat else sorted(NORMALS)), max_size=2, unique=True))
+    sides = draw(st.lists(st.sampled_from(["right"] if flat else FREE), max_size=2, unique=True))
     foundation = draw(st.sampled_from(FOUNDATIONS))
     if flat and on_axis and foundation == "0":
         sides = []

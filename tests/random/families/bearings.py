@@ -9,15 +9,10 @@ import numpy as np
 import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
-from mpi4py import MPI
 
-from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.closed import ClosedForm, Piecewise, everywhere, expression, x, y
-from tests.random.families.elements import Field
-from tests.random.families.integrals import energy_error
+from tests.random.families.manufactured import SIDES, Manufactured, Piecewise, everywhere, expression, load_of
 from tests.random.families.meshes import DIAGONALS
 from tests.random.families.strategies import place
-from tests.random.families.supported import SIDES
 from tests.random.families.varying import SMOOTH, TENSIONS
 
 BOXES = (((0.0, 1.0), (0.0, 1.0)), ((-1.0, 1.0), (-1.0, 1.0)), ((0.5, 1.5), (-0.4, 0.6)))
@@ -50,20 +45,20 @@ class Bearing:
 
 
 @dataclass(frozen=True)
-class Bearings(ClosedForm):
+class Bearings(Manufactured):
     """-div(tension grad u) + foundation u = load, with u between obstacles on sides.
 
     Attributes:
         formula: Of u.
         stiff: Of the tension.
-        foundation: A number.
+        bed: Stiffness of a foundation, a number.
         axial: Whether there is axial symmetry.
         bearings: One for each side where u is not given.
     """
 
     formula: str
     stiff: str
-    foundation: str
+    bed: str
     axial: bool
     bearings: tuple[Bearing, ...]
 
@@ -75,53 +70,33 @@ class Bearings(ClosedForm):
     def tension(self) -> Piecewise:
         return everywhere(expression(self.stiff))
 
+    def foundation(self) -> Piecewise | None:
+        return everywhere(float(self.bed)) if self.bed != "0" else None
+
+    def weight(self, px: np.ndarray) -> np.ndarray:
+        return px if self.axial else np.ones_like(px)
+
     def data(self) -> dict[str, Any]:
-        u, mu = expression(self.formula), expression(self.stiff)
-        load = -sum(sympy.diff(mu * sympy.diff(u, s), s) for s in (x, y)) + expression(self.foundation) * u
-        if self.axial:
-            load -= mu * sympy.diff(u, x) / x
+        load = load_of(expression(self.formula), expression(self.stiff), expression(self.bed), axial=self.axial)
         found: dict[str, Any] = {"tension": self.stiff, "load": str(sympy.expand(load))}
         if self.axial:
             found["axial_symmetry"] = True
-        if self.foundation != "0":
-            found["foundation"] = self.foundation
+        if self.bed != "0":
+            found["foundation"] = self.bed
         return found
 
     def boundary(self) -> list[dict[str, Any]]:
         """The parts of the boundary."""
         given = [side for side in SIDES if side not in {one.side for one in self.bearings}]
         parts: list[dict[str, Any]] = [{"on": given, "value": self.formula}]
-        u, mu = expression(self.formula), expression(self.stiff)
         for one in self.bearings:
-            normal, sign = SIDES[one.side], -1 if one.upper else 1
-            along = f"abs({'y' if normal[0] else 'x'} - ({one.middle!r}))"
-            flux = mu * sum(n * sympy.diff(u, s) for n, s in zip(normal, (x, y), strict=True))
+            sign, along = -1 if one.upper else 1, f"abs({'y' if SIDES[one.side][0] else 'x'} - ({one.middle!r}))"
             shape = f"where({along} < {one.width!r}, 1, 0)" if one.even else f"max(1 - ({along}/{one.width!r})^2, 0)"
-            text = f"({flux}) - {sign * one.pressure!r}*{shape}"
+            spring = repr(one.spring) if one.spring > 0 else ""
+            part = self.natural(one.side, spring, f" - {sign * one.pressure!r}*{shape}")
             gap = f"{sign * one.steep!r}*max({along} - {one.width!r}, 0)^2"
-            part: dict[str, Any] = {"on": one.side, "upper" if one.upper else "lower": f"({self.formula}) - {gap}"}
-            if one.spring > 0:
-                text, part["spring"] = f"{text} + {one.spring!r}*({self.formula})", one.spring
-            parts.append({**part, "flux": text})
+            parts.append({**part, "upper" if one.upper else "lower": f"({self.formula}) - {gap}"})
         return parts
-
-    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-        """The scene (collective)."""
-        return Scene(mesh=self.mesh, boundary=self.boundary(), **self.data())
-
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, with the energy of the foundation but not of springs; the norm of u (collective)."""
-        slopes = [self.u()[0].map(lambda value, s=s: sympy.diff(value, s)) for s in (x, y)]
-        nodes, weight = self.nodes(field), (lambda x: x) if self.axial else np.ones_like
-
-        def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return slopes[0].at(x, y), slopes[1].at(x, y)
-
-        error, norm = energy_error(field, nodes, lambda x, y: weight(x) * self.tension().at(x, y), gradient)
-        px, py = nodes.points.T
-        off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - self.u()[0].at(px, py)
-        more = float(self.foundation) * field.comm.allreduce(float(nodes.weights @ (weight(px) * off**2)))
-        return float(np.hypot(error, np.sqrt(more))), norm
 
 
 @st.composite

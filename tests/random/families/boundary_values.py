@@ -14,7 +14,6 @@ from tests.random.families.family import (
     INPUT_ERROR,
     Family,
     Judgement,
-    toml,
 )
 from tests.random.families.strategies import bounds, grids, place
 
@@ -55,9 +54,6 @@ class DirichletData(Family):
         answer = judgement.solve(self.scene, expected, **self.options)
         if answer is not None and self.torn:
             judgement.not_certified(answer, "the boundary values jump")
-
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, {self.options})")
 
 
 @st.composite
@@ -106,9 +102,6 @@ class Ends(Family):
         answer = judgement.solve(self.scene, EITHER, **self.options)
         if answer is not None:
             judgement.not_certified(answer, "a part of the boundary ends inside a facet")
-
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, {self.options})")
 
 
 @st.composite

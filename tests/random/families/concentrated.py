@@ -19,17 +19,16 @@ from sympy import Expr
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.closed import (
-    ClosedForm,
+from tests.random.families.manufactured import (
     Line,
+    Manufactured,
     Piecewise,
     distance,
+    everywhere,
     expression,
     load_of,
     x,
 )
-from tests.random.families.elements import Field
-from tests.random.families.family import Family, Judgement, toml
 from tests.random.families.meshes import shifts
 from tests.random.families.strategies import place, power
 from tests.random.families.supported import SHAPES
@@ -42,19 +41,16 @@ TENSIONS_2D = ("1", "7.3", "exp(x - y)", "2 + sin(5*x)*cos(3*y)", "1/(1 + x**2 +
 FACTORS = ("1", "0.1", "2 + x*y", "(1 + y)**2", "exp(x)")
 LINE = "line"
 BORNE = 0.6  # half of the length of this part, up to a factor
-GAUSS = 12  # points between two places where expressions change
 
 
 @dataclass(frozen=True)
-class LoadedString(Family):
+class LoadedString(Manufactured):
     """-(tension u')' + foundation u = load + sum of forces at points + p on the unit interval.
 
     Attributes:
-        cells: Of the mesh.
-        options: Of `solve`.
         obstacle: A formula; u itself without contact and forces.
         stiff: Of the tension.
-        foundation: A formula.
+        bed: Of the foundation, a formula.
         contact: Where it ends; 0: there is none.
         size: u is above the obstacle by the squared distance from there, times this.
         pressure: In contact.
@@ -65,11 +61,9 @@ class LoadedString(Family):
         upper: Whether all is upside down.
     """
 
-    cells: int
-    options: dict[str, Any]
     obstacle: str
     stiff: str
-    foundation: str
+    bed: str
     contact: float
     size: float
     pressure: float
@@ -81,76 +75,53 @@ class LoadedString(Family):
 
     name = "loaded string"
 
-    def _parts(self) -> list[tuple[float, float, Expr]]:
-        """Intervals, and u on each without the sign."""
-        ends = sorted({0.0, self.contact, *self.points, 1.0})
-        found = []
-        for left, right in pairwise(ends):
+    @property
+    def _sign(self) -> int:
+        return -1 if self.upper else 1
+
+    def u(self) -> list[Piecewise]:
+        parts: list[Any] = []
+        for left, right in pairwise(sorted({0.0, self.contact, *self.points, 1.0})):
             u = expression(self.obstacle)
             if self.contact > 0 and left >= self.contact:
                 u += self.size * (x - self.contact) ** 2
-            for point, kink in zip(self.points, self.kinks, strict=True):
-                if left >= point:
-                    u += kink * (x - point)
-            found.append((left, right, u))
-        return found
+            u += sum(kink * (x - point) for point, kink in zip(self.points, self.kinks, strict=True) if left >= point)
+            parts.append((((Line((1.0, 0.0), right), True),) if right < 1 else (), self._sign * u))
+        return [Piecewise(parts)]
 
-    def _text(self, values: list[Expr]) -> str:
-        found = f"({values[-1]})"
-        for (_, right, _), value in reversed(list(zip(self._parts(), values, strict=True))[:-1]):
-            found = f"where(x < {right!r}, {value}, {found})"
-        return found
+    def tension(self) -> Piecewise:
+        return everywhere(expression(self.stiff))
 
-    def scene(self) -> Scene:
-        """The scene."""
-        sign, mu, k = -1 if self.upper else 1, expression(self.stiff), expression(self.foundation)
-        parts, loads = self._parts(), []
-        for _, right, u in parts:
-            load = sympy.expand(-sympy.diff(mu * sympy.diff(u, x), x) + k * u)
-            loads.append(sign * (load - (self.pressure if right <= self.contact else 0)))
+    def foundation(self) -> Piecewise | None:
+        return everywhere(expression(self.bed)) if self.bed != "0" else None
+
+    def data(self) -> dict[str, Any]:
+        sign, mu, k = self._sign, expression(self.stiff), expression(self.bed)
+        load = self.u()[0].map(lambda u: sympy.expand(load_of(u, mu, k)))
+        if self.contact > 0:
+            (sides, first), *others = load.parts
+            load = Piecewise([(sides, first - sign * self.pressure), *others])
         forces = [
             (point, -kink * float(mu.subs(x, point))) for point, kink in zip(self.points, self.kinks, strict=True)
         ]
         forces += [(point, -2.5) for point in self.pressed]
-        last = parts[-1][2]
         if self.end == "force":
-            forces.append((1.0, float((mu * sympy.diff(last, x)).subs(x, 1))))
-        given = [(0.0, parts[0][2], "left")] + ([] if self.end == "force" else [(1.0, last, "right")])
-        boundary = [{"on": name, "value": sign * float(u.subs(x, at))} for at, u, name in given]
-        data: dict[str, Any] = {"tension": self.stiff, "load": self._text(loads)}
+            last = self.u()[0].parts[-1][1]
+            forces.append((1.0, sign * float((mu * sympy.diff(last, x)).subs(x, 1))))
+        data: dict[str, Any] = {"tension": self.stiff, "load": load.text(self.spelling)}
         if forces:
             data["point_load"] = [{"at": at, "force": sign * force} for at, force in forces]
-        if self.foundation != "0":
-            data["foundation"] = self.foundation
+        if self.bed != "0":
+            data["foundation"] = self.bed
         if self.contact > 0:
             data["upper" if self.upper else "lower"] = f"{sign}*({self.obstacle})"
-        return Scene(mesh={"shape": "interval", "cells": self.cells}, boundary=boundary, **data)
+        return data
 
-    def judge(self, judgement: Judgement) -> None:
-        answer = judgement.solve(self.scene, **self.options)
-        if answer is not None:
-            judgement.certificate(answer, *self.error(Field(answer.u)))
-
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, with the energy of the foundation, and the norm of u (collective)."""
-        ends, sign = np.sort(field.vertices[:, :, 0], axis=1), -1 if self.upper else 1
-        cells, found = np.arange(len(ends)), np.zeros(2)
-        t, weights = np.polynomial.legendre.leggauss(GAUSS)
-        mu, k = (sympy.lambdify(x, expression(text), "numpy") for text in (self.stiff, self.foundation))
-        for left, right, u in self._parts():
-            a, b = (np.clip(ends[:, side], left, right) for side in (0, 1))
-            points = a[:, None] + (b - a)[:, None] * (t + 1) / 2
-            measure = (b - a)[:, None] * weights / 2
-            true, slope = (sign * sympy.lambdify(x, one, "numpy")(points) for one in (u, sympy.diff(u, x)))
-            off = field.gradient(cells, points[..., None])[..., 0] - slope
-            apart = field.at(cells, points[..., None]) - true
-            found += [np.sum(measure * (mu(points) * off**2 + k(points) * apart**2)),
-                      np.sum(measure * mu(points) * slope**2)]  # fmt: skip
-        error, norm = np.sqrt(field.comm.allreduce(found))
-        return float(error), float(norm)
-
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, {self.options})")
+    def boundary(self) -> list[dict[str, Any]]:
+        """The ends where u is given."""
+        parts = self.u()[0].parts
+        given = [(0.0, parts[0][1], "left")] + ([] if self.end == "force" else [(1.0, parts[-1][1], "right")])
+        return [{"on": name, "value": float(u.subs(x, at))} for at, u, name in given]
 
 
 @st.composite
@@ -167,7 +138,8 @@ def loaded_strings(draw: st.DrawFn) -> LoadedString:
     asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
     asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
     return LoadedString(
-        cells, {"element": "P1", **asked}, draw(st.sampled_from(OBSTACLES)), draw(st.sampled_from(TENSIONS)),
+        {"shape": "interval", "cells": cells}, {"element": "P1", **asked}, 0,
+        draw(st.sampled_from(OBSTACLES)), draw(st.sampled_from(TENSIONS)),
         draw(st.sampled_from(FOUNDATIONS)), contact, draw(st.sampled_from([1.0, 10.0])),
         draw(st.sampled_from([0.0, 1.0, 30.0])), points, tuple(draw(kink) for _ in points), pressed,
         draw(st.sampled_from(["value", "value", "force"])), draw(st.booleans()),
@@ -197,7 +169,7 @@ def lined(comm: MPI.Comm, cells: int, slope: float, stretch: float, scatter: flo
 
 
 @dataclass(frozen=True)
-class LoadedLine(ClosedForm):
+class LoadedLine(Manufactured):
     """u has a kink along a line of the mesh, by a load there and maybe a wire.
 
     Attributes:
@@ -277,9 +249,6 @@ class LoadedLine(ClosedForm):
         return Scene(
             mesh=mesh, facet_tags=tags, facet_names={LINE: 1}, boundary=[{"value": self.value()}, along], **self.data()
         )
-
-    def text(self) -> str:
-        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.options}"
 
 
 @st.composite

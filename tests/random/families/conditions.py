@@ -10,9 +10,9 @@ import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from tests.random.families.closed import (
+from tests.random.families.manufactured import (
     Circle,
-    ClosedForm,
+    Manufactured,
     Piecewise,
     distance,
     everywhere,
@@ -50,8 +50,8 @@ class Term:
     def both(self) -> tuple[Piecewise, str]:
         """u and the load."""
         kinds = {
-            "step": self._step, "abs": self._abs, "min": self._min, "max": self._max, "and": self._and, "or": self._or,
-            "floor": self._floor, "disc": self._disc, "lens": self._lens,
+            "step": self._step, "abs": self._abs, "min": self._least, "max": self._least, "and": self._and,
+            "or": self._or, "floor": self._floor, "disc": self._disc, "lens": self._lens,
         }  # fmt: skip
         return kinds[self.kind]()
 
@@ -76,15 +76,9 @@ class Term:
         return u, self._spelled(f"{self.size!r}*abs({s})", f"{self.size!r}*max({s}, -({s}))",
                                 f"where({s} < 0, -1, 1)*({self.size!r})*({s})")  # fmt: skip
 
-    def _min(self) -> tuple[Piecewise, str]:
-        return self._least(-1)
-
-    def _max(self) -> tuple[Piecewise, str]:
-        return self._least(1)
-
-    def _least(self, sign: int) -> tuple[Piecewise, str]:
+    def _least(self) -> tuple[Piecewise, str]:
         """The larger of two distances is s + max(0, t - s), the smaller one s - max(0, s - t)."""
-        a, b, s, t, angle = self._lines()
+        (a, b, s, t, angle), sign = self._lines(), 1 if self.kind == "max" else -1
         (p, q), (v, w) = a.direction, b.direction
         between = type(a)((v - p, w - q), b.place - a.place)  # t < s below it
         rest = sign * (t - s)
@@ -92,9 +86,8 @@ class Term:
         straight = -self.size * s**3 / 6
         # max: bent where t > s; min: bent where t < s
         u = Piecewise([([(between, sign < 0)], bent), ((), straight)])
-        word = "max" if sign > 0 else "min"
         order = f"{s} > {t}" if sign > 0 else f"{s} < {t}"
-        return u, self._spelled(f"{self.size!r}*{word}({s}, {t})", f"{self.size!r}*where({order}, {s}, {t})",
+        return u, self._spelled(f"{self.size!r}*{self.kind}({s}, {t})", f"{self.size!r}*where({order}, {s}, {t})",
                                 f"{self.size!r}*(({s}) + ({t}) + {sign}*abs(({s}) - ({t})))/2")  # fmt: skip
 
     def _and(self) -> tuple[Piecewise, str]:
@@ -159,7 +152,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Conditions(ClosedForm):
+class Conditions(Manufactured):
     """A sum of terms, each with conditions of its own, and a smooth formula.
 
     Attributes:

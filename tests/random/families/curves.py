@@ -5,134 +5,103 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
+import sympy
 from hypothesis import strategies as st
 
-from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.elements import Field
-from tests.random.families.family import Family, Judgement, toml
-from tests.random.families.integrals import Circle, Pieces, energy_error
+from fenicsx_obstacle.answers.answer import Answer
+from tests.random.families.family import Judgement
+from tests.random.families.manufactured import Circle, Manufactured, Piecewise, everywhere, x, y
 from tests.random.families.strategies import bounds, grids, place, power
 
 CIRCLES = ("where(r < {a}, {k}, 1)", "where(x^2 + y^2 < {aa}, {k}, 1)", "({k})*(r < {a}) + (r >= {a})",
            "where(hypot(x, y) >= {a}, 1, {k})")  # fmt: skip
 
 
+def moved(mesh: dict[str, Any], corner: tuple[float, float]) -> dict[str, Any]:
+    """The table [mesh] of a unit square with this lower left corner."""
+    return {**mesh, **{axis: [start, start + 1] for axis, start in zip("xy", corner, strict=True)}}
+
+
 @dataclass(frozen=True)
-class Inclusion(Family):
+class Inclusion(Manufactured):
     """A disk of another tension in a square: u = x (1 + B/r^2) outside of it, A x inside.
 
     Attributes:
-        mesh: The table [mesh].
-        options: Of `solve`.
-        corner: Lower left corner of the unit square.
         radius: Of the disk, whose centre is the origin.
-        tension: In the disk; 1 outside.
-        spelling: How the jump is written.
+        stiff: The tension in the disk; 1 outside.
     """
 
-    mesh: dict[str, Any]
-    options: dict[str, Any]
-    corner: tuple[float, float]
     radius: float
-    tension: float
-    spelling: str
+    stiff: float
 
     name = "inclusion"
 
-    def scene(self) -> Scene:
-        a, k = self.radius, self.tension
-        value = f"where(r < {a!r}, {2 / (1 + k)!r}*x, x*(1 + ({(1 - k) / (1 + k) * a**2!r})/max(r, {a / 2!r})^2))"
-        ends = {axis: [start, start + 1] for axis, start in zip("xy", self.corner, strict=True)}
-        return Scene(mesh={**self.mesh, **ends}, boundary=[{"value": value}],
-                     tension=self.spelling.format(a=repr(a), aa=repr(a**2), k=repr(k)))  # fmt: skip
+    def _parts(self, inside: Any, outside: Any) -> Piecewise:
+        return Piecewise([([(Circle((0.0, 0.0), self.radius), True)], inside), ((), outside)])
 
-    def judge(self, judgement: Judgement) -> None:
-        answer = judgement.solve(self.scene, **self.options)
-        if answer is not None:
-            judgement.certificate(answer, *self.error(Field(answer.u)))
+    def tension(self) -> Piecewise:
+        return self._parts(sympy.Float(self.stiff), sympy.Integer(1))
 
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, and the norm of u (collective)."""
-        a, k = self.radius, self.tension
-        B = (1 - k) / (1 + k) * a**2
+    def u(self) -> list[Piecewise]:
+        a, k = self.radius, self.stiff
+        return [self._parts(2 / (1 + k) * x, x * (1 + (1 - k) / (1 + k) * a**2 / (x**2 + y**2)))]
 
-        def tension(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            return np.where(x**2 + y**2 < a**2, k, 1.0)
+    def value(self) -> str:
+        a, k = self.radius, self.stiff
+        return f"where(r < {a!r}, {2 / (1 + k)!r}*x, x*(1 + ({(1 - k) / (1 + k) * a**2!r})/max(r, {a / 2!r})^2))"
 
-        def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            square = np.maximum(x**2 + y**2, a**2 / 4)
-            inside = x**2 + y**2 < a**2
-            along = 1 + B * (y**2 - x**2) / square**2
-            return np.where(inside, 2 / (1 + k), along), np.where(inside, 0.0, -2 * B * x * y / square**2)
-
-        return energy_error(field, Pieces.of(field).along([Circle((0.0, 0.0), a)]), tension, gradient)
-
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, {self.options})")
+    def data(self) -> dict[str, Any]:
+        a, k = self.radius, self.stiff
+        return {"tension": CIRCLES[self.spelling].format(a=repr(a), aa=repr(a**2), k=repr(k))}
 
 
 @st.composite
 def inclusions(draw: st.DrawFn) -> Inclusion:
     """Contrasts up to 1e6; the square holds all of the disk or a quarter of it."""
     corner = draw(st.sampled_from([(0.0, 0.0), (-0.5, -0.5), (-0.613, 0.0), (-0.5, -0.377)]))
-    return Inclusion(draw(grids()), draw(bounds()), corner, draw(place(0.1, 0.45 if corner[0] else 0.95)),
-                     draw(st.one_of(power(-6, 6), power(-1, 1))), draw(st.sampled_from(CIRCLES)))  # fmt: skip
+    return Inclusion(
+        mesh=moved(draw(grids()), corner), options=draw(bounds()), radius=draw(place(0.1, 0.45 if corner[0] else 0.95)),
+        stiff=draw(st.one_of(power(-6, 6), power(-1, 1))), spelling=draw(st.integers(0, 3)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Pole(Family):
+class Pole(Manufactured):
     """u = r^a: the load is a power of r, square integrable where a > 1.
 
     Attributes:
-        mesh: The table [mesh].
-        options: Of `solve`.
-        corner: Lower left corner of the unit square.
         power: a.
-        tension: The same everywhere.
+        stiff: The tension, the same everywhere.
         cut: Radius within which the load is that of this radius; 0 for a load that is set to 0 at the pole only.
     """
 
-    mesh: dict[str, Any]
-    options: dict[str, Any]
-    corner: tuple[float, float]
     power: float
-    tension: float
+    stiff: float
     cut: float
 
     name = "pole"
 
-    def scene(self) -> Scene:
-        size, power_ = -self.tension * self.power**2, self.power - 2
-        load = f"{size!r}*max(r, {self.cut!r})^({power_!r})" if self.cut else (
-            f"where(r > 0, {size!r}*r^({power_!r}), 0)")  # fmt: skip
-        ends = {axis: [start, start + 1] for axis, start in zip("xy", self.corner, strict=True)}
-        return Scene(mesh={**self.mesh, **ends}, tension=self.tension, load=load,
-                     boundary=[{"value": f"r^{self.power!r}"}])  # fmt: skip
+    def tension(self) -> Piecewise:
+        return everywhere(self.stiff)
 
-    def judge(self, judgement: Judgement) -> None:
-        answer = judgement.solve(self.scene, **self.options)
-        if answer is None:
-            return
-        judgement.certificate(answer, *self.error(Field(answer.u)))
+    def u(self) -> list[Piecewise]:
+        return [everywhere((x**2 + y**2) ** (self.power / 2))]
+
+    def poles(self) -> list[tuple[float, float]]:
+        return [(0.0, 0.0)]
+
+    def value(self) -> str:
+        return f"r^{self.power!r}"
+
+    def data(self) -> dict[str, Any]:
+        size, exponent = -self.stiff * self.power**2, self.power - 2
+        load = f"{size!r}*max(r, {self.cut!r})^({exponent!r})" if self.cut else (
+            f"where(r > 0, {size!r}*r^({exponent!r}), 0)")  # fmt: skip
+        return {"tension": self.stiff, "load": load}
+
+    def more(self, judgement: Judgement, answer: Answer) -> None:
         if self.power <= 1 and not self.cut:
             judgement.not_certified(answer, "the load is not square integrable")
-
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field from below, since the last pieces at the pole are omitted; norm of u (collective)."""
-        a = self.power
-
-        def tension(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-            return np.full_like(x, self.tension)
-
-        def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            slope = a * (x**2 + y**2) ** (a / 2 - 1)
-            return slope * x, slope * y
-
-        return energy_error(field, Pieces.of(field).along([], [(0.0, 0.0)], count=10), tension, gradient)
-
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, {self.options})")
 
 
 @st.composite
@@ -140,5 +109,5 @@ def poles(draw: st.DrawFn) -> Pole:
     """Mostly loads that are not square integrable."""
     corner = draw(st.sampled_from([(0.0, 0.0), (-0.5, -0.5), (-0.377, -0.613), (-0.377, 0.0)]))
     exponent = draw(st.one_of(place(0.05, 1), place(1, 2)))
-    return Pole(draw(grids()), draw(bounds()), corner, exponent, draw(st.sampled_from([1.0, 7.3])),
+    return Pole(moved(draw(grids()), corner), draw(bounds()), 0, exponent, draw(st.sampled_from([1.0, 7.3])),
                 draw(st.sampled_from([0.0, 0.0, 1e-12])))  # fmt: skip

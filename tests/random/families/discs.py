@@ -10,13 +10,13 @@ import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from tests.random.families.closed import Circle, ClosedForm, Piecewise, Side, square
+from tests.random.families.manufactured import Circle, Manufactured, Piecewise, Side, square
 from tests.random.families.meshes import meshes
 from tests.random.families.strategies import bounds, place, power
 
 
 @dataclass(frozen=True)
-class Rings(ClosedForm):
+class Rings(Manufactured):
     """Tension and load take a value in each ring: tension u' = -D/r - load r/2 there.
 
     Attributes:

@@ -12,7 +12,7 @@ from scipy.special import expi
 
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families.elements import Field
-from tests.random.families.family import ANSWER, EITHER, Family, Judgement, toml
+from tests.random.families.family import ANSWER, EITHER, Family, Judgement
 from tests.random.families.strategies import power
 
 MILD, PLAIN = 1.0, 1e4  # growth of u over that without drift up to which it must be answered: on any mesh, if resolved
@@ -86,9 +86,6 @@ class Strip(Family):
             words = f"largest u {high:.6g}; true: {true.max():.6g}, within a factor of {factor:.3g}"
             judgement.check(1 / factor <= high / true.max() <= factor, words)
 
-    def text(self) -> str:
-        return toml(self.scene(), "solve(scene)")
-
 
 @st.composite
 def strips(draw: st.DrawFn) -> Strip:
@@ -154,9 +151,6 @@ class Radial(Family):
             phi = abs(self.strength) * outer**2 / (2 * self.tension)
             factor = np.exp(2 * phi * (RESOLVED**2 / 3 + h**2) + 0.1)
             judgement.check(least / factor <= high <= most * factor, f"{words}, within a factor of {factor:.3g}")
-
-    def text(self) -> str:
-        return toml(self.scene(), "solve(scene)")
 
 
 @st.composite

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families.elements import Field
-from tests.random.families.family import ANSWER, EITHER, REJECTION, Family, Judgement, toml
+from tests.random.families.family import ANSWER, EITHER, REJECTION, Family, Judgement
 from tests.random.families.strategies import power
 
 SHAPES = (
@@ -89,9 +89,6 @@ class Unheld(Family):
         judgement.check(
             max(abs(low), abs(high)) <= limit, f"u from {low:.3g} to {high:.3g}, data up to {limit / 10:.3g}"
         )
-
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, {self.options})")
 
 
 @st.composite
@@ -179,9 +176,6 @@ class Feeble(Family):
         ends = (f / k + f * (1 - c) / (mu * root * np.sinh(root * c)), at_width + f * (1 - c) ** 2 / (2 * mu))
         return min(ends), max(ends), 0.0
 
-    def text(self) -> str:
-        return toml(self.scene(), "solve(scene)")
-
 
 @st.composite
 def feebles(draw: st.DrawFn) -> Feeble:
@@ -230,9 +224,6 @@ class Soft(Family):
         off = max(abs(low - true), abs(high - true))
         judgement.check(off <= 1e-5 * (abs(self.height) + self.load / self.stiffness),
                         f"u from {low:.8g} to {high:.8g}; true: {true:.8g} everywhere")  # fmt: skip
-
-    def text(self) -> str:
-        return toml(self.scene(), "solve(scene)")
 
 
 @st.composite

@@ -117,8 +117,7 @@ def _listening() -> Iterator[list[str]]:
     handler.emit = lambda record: said.append(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger().addHandler(handler)
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             yield said
     finally:
         logging.getLogger().removeHandler(handler)
@@ -145,11 +144,15 @@ class Family(ABC):
     def judge(self, judgement: Judgement) -> None:
         """Call the program and compare (collective)."""
 
-    @abstractmethod
+    def scene(self) -> Scene:
+        """The scene (collective), if there is one."""
+        raise NotImplementedError
+
     def text(self) -> str:
         """TOML or Python that shows the scene to the program again."""
+        return toml(self.scene(), f"solve(scene, {vars(self).get('options', {})})")
 
 
-def toml(scene: Scene, *calls: str) -> str:
+def toml(scene: Scene, call: str) -> str:
     """A scene as TOML text, and what was asked for."""
-    return f"# {'; '.join(calls)}\n{scene.toml()}"
+    return f"# {call}\n{scene.toml()}"

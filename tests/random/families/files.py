@@ -71,7 +71,7 @@ class Cad(Family):
                 self.kind, self._curved)(judgement, folder)  # fmt: skip
             comm.Barrier()
 
-    def scene(self, file: Path) -> Scene:
+    def on(self, file: Path) -> Scene:
         return Scene(mesh={"file": str(file)}, tension=1, load=self.load, lower=self.lower)
 
     def _groups(self, judgement: Judgement, folder: Path) -> None:
@@ -79,7 +79,7 @@ class Cad(Family):
         found: list[Answer] = []
         for groups in (True, False):
             file = on_root(judgement.comm, self.write, folder / f"{groups}.msh", groups)
-            answer = judgement.solve(partial(self.scene, file), ANSWER, f"groups: {groups}")
+            answer = judgement.solve(partial(self.on, file), ANSWER, f"groups: {groups}")
             found += [] if answer is None else [answer]
         if len(found) == 2:
             self._same(judgement, *found)
@@ -87,7 +87,7 @@ class Cad(Family):
     def _apart(self, judgement: Judgement, folder: Path) -> None:
         """Two rectangles that share an edge without shared nodes are no membrane of their union."""
         file = on_root(judgement.comm, self.write, folder / "apart.msh", True)
-        answer = judgement.solve(lambda: self.scene(file), EITHER)
+        answer = judgement.solve(lambda: self.on(file), EITHER)
         if answer is None:
             return
         told = any(word in text.lower() for text in (*judgement.said, answer.summary()) for word in TELLING)
@@ -96,7 +96,7 @@ class Cad(Family):
     def _joined(self, judgement: Judgement, folder: Path) -> None:
         """The same made one: it must be solved, and is the membrane on a shape of this package."""
         file = on_root(judgement.comm, self.write, folder / "joined.msh", True)
-        answer = judgement.solve(lambda: self.scene(file), ANSWER)
+        answer = judgement.solve(lambda: self.on(file), ANSWER)
         if answer is None:
             return
         low, high = Field(answer.u).ends()
@@ -109,7 +109,7 @@ class Cad(Family):
     def _curved(self, judgement: Judgement, folder: Path) -> None:
         """A curved domain is no polygon."""
         file = on_root(judgement.comm, self.write, folder / f"curved{self.suffix}", True)
-        answer = judgement.solve(lambda: self.scene(file), EITHER, **self.options)
+        answer = judgement.solve(lambda: self.on(file), EITHER, **self.options)
         if answer is not None:
             judgement.not_certified(answer, "the domain is curved")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +16,7 @@ STEEP = 4.0  # sine of an angle at least, times radius over size
 FLAT = 1e-14  # area over squared diameter of what cuts through vertices leave by round-off
 TANGENT = 36  # and where a circle touches an edge
 BLOCK = 20000  # pieces or points that are integrated at once
+ALONG = 12  # Gauss points in each part of an interval
 Vector = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
@@ -129,13 +131,19 @@ class Nodes:
 
     Attributes:
         cells: The cell that holds each.
-        points: Shape (n, 2).
-        weights: Positive; their sum is the area.
+        points: Shape (n, dimension).
+        weights: Not negative; their sum is the area, or the length.
     """
 
     cells: np.ndarray
     points: np.ndarray
     weights: np.ndarray
+
+    @property
+    def coordinates(self) -> tuple[np.ndarray, np.ndarray]:
+        """x and y; on an interval y is 0."""
+        x, *rest = self.points.T
+        return x, rest[0] if rest else np.zeros(len(x))
 
     def __getitem__(self, chosen: np.ndarray) -> Nodes:
         return Nodes(self.cells[chosen], self.points[chosen], self.weights[chosen])
@@ -250,6 +258,18 @@ def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     return points, 2 * np.repeat(w, count) * np.tile(w, count) * (1 - first)
 
 
+def intervals(field: Field, places: Sequence[float]) -> Nodes:
+    """Gauss points on the cells of an interval, between places that rise."""
+    ends, cells = np.sort(field.vertices[:, :, 0], axis=1), np.repeat(np.arange(len(field.vertices)), ALONG)
+    t, weights = np.polynomial.legendre.leggauss(ALONG)
+    found = []
+    for low, high in pairwise([-np.inf, *places, np.inf]):
+        start, end = np.clip(ends, low, high).T[:, :, None]
+        points = start + (end - start) * (t + 1) / 2
+        found.append(Nodes(cells, points.reshape(-1, 1), ((end - start) * weights / 2).ravel()))
+    return Nodes.joined(found)
+
+
 def energy_error(
     field: Field, pieces: Pieces | Nodes, tension: Scalar, gradient: Vector, count: int = 4
 ) -> tuple[float, float]:
@@ -265,10 +285,10 @@ def energy_error(
     found = np.zeros(2)
     for part in np.array_split(np.arange(len(pieces.cells)), max(1, len(pieces.cells) // BLOCK)):
         nodes = pieces[part] if isinstance(pieces, Nodes) else pieces[part].nodes(count)
-        x, y = nodes.points.T
-        stiff = tension(x, y)
-        stiff = stiff if stiff.ndim == 3 else stiff[:, None, None] * np.eye(2)
-        true = np.stack(np.broadcast_arrays(*gradient(x, y)), axis=1)
+        x, y = nodes.coordinates
+        dim, stiff = nodes.points.shape[1], tension(x, y)
+        stiff = stiff if stiff.ndim == 3 else stiff[:, None, None] * np.eye(dim)
+        true = np.stack(np.broadcast_arrays(*gradient(x, y))[:dim], axis=1)
         off = field.gradient(nodes.cells, nodes.points[:, None])[:, 0] - true
         found += [nodes.weights @ np.einsum("ni,nij,nj->n", one, stiff, one) for one in (off, true)]
     error, norm = np.sqrt(field.comm.allreduce(found))

@@ -9,7 +9,7 @@ from typing import Any
 import sympy
 from hypothesis import strategies as st
 
-from tests.random.families.closed import ClosedForm, Line, Piecewise, everywhere, line_at, x, y
+from tests.random.families.manufactured import Line, Manufactured, Piecewise, everywhere, line_at, x, y
 from tests.random.families.meshes import DIAGONALS, meshes
 from tests.random.families.strategies import bounds, place, power
 
@@ -17,7 +17,7 @@ R = sympy.sqrt(x**2 + y**2)
 
 
 @dataclass(frozen=True)
-class Sectors(ClosedForm):
+class Sectors(Manufactured):
     """Two opposite sectors of another tension (Kellogg): u = r^a cos(a t) in them, t the angle to their axis.
 
     Attributes:
@@ -95,7 +95,7 @@ def sectors(draw: st.DrawFn) -> Sectors:
 
 
 @dataclass(frozen=True)
-class Corner(ClosedForm):
+class Corner(Manufactured):
     """u = r^a sin(a t) + size r^(b + 2) at a corner of the domain, t the angle to its bisector; the load is like r^b.
 
     Attributes:

@@ -19,9 +19,9 @@ from mpi4py import MPI
 from sympy import Expr
 
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.closed import LONGEST
 from tests.random.families.elements import Field
 from tests.random.families.family import Family, Judgement, toml
+from tests.random.families.manufactured import LONGEST
 from tests.random.families.solid_meshes import inscribed_ball, solid, solids
 
 AXES = sympy.symbols("x y z", real=True)

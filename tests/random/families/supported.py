@@ -5,20 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
-from mpi4py import MPI
 
-from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.closed import ClosedForm, Curve, Piecewise, everywhere, line_at, x, y
-from tests.random.families.elements import Field
-from tests.random.families.meshes import made
+from tests.random.families.manufactured import SIDES, Curve, Manufactured, Piecewise, everywhere, line_at, x, y
 from tests.random.families.touching import touching
 from tests.random.families.varying import varying
 
-SIDES = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
 HALF = line_at(0.0, 0.113)
 # of foundations and springs, times a factor
 SHAPES = {
@@ -29,7 +23,7 @@ SHAPES = {
 
 
 @dataclass(frozen=True)
-class Supported(ClosedForm):
+class Supported(Manufactured):
     """-div(tension grad u) + k u = load + p with the u of another scene; flux and spring replace u on sides.
 
     Attributes:
@@ -41,7 +35,7 @@ class Supported(ClosedForm):
         stiff: They times this.
     """
 
-    base: ClosedForm
+    base: Manufactured
     shape: str
     size: float
     sides: tuple[str, ...]
@@ -59,6 +53,9 @@ class Supported(ClosedForm):
     def poles(self) -> list[tuple[float, float]]:
         return self.base.poles()
 
+    def foundation(self) -> Piecewise | None:
+        return SHAPES[self.shape].map(lambda k: self.size * k) if self.size > 0 else None
+
     def data(self) -> dict[str, Any]:
         data = self.base.data()
         if self.size > 0:
@@ -69,42 +66,12 @@ class Supported(ClosedForm):
     def boundary(self) -> list[dict[str, Any]]:
         """The parts of the boundary."""
         given = [side for side in SIDES if side not in self.sides]
-        parts: list[dict[str, Any]] = [{"on": given, "value": self.value()}] if given else []
-        for side in self.sides:
-            outward = [
-                f"({number})*{self.tension().text(self.spelling)}*"
-                f"{part.map(lambda value, s=s: sympy.diff(value, s)).text(self.spelling)}"
-                for part in self.u() for number, s in zip(SIDES[side], (x, y), strict=True) if number
-            ]  # fmt: skip
-            flux = " + ".join(outward)
-            if self.stiff > 0:
-                spring = f"{self.stiff!r}*{SHAPES[self.spring].text(self.spelling)}"
-                parts.append({"on": side, "flux": f"{flux} + {spring}*({self.value()})", "spring": spring})
-            else:
-                parts.append({"on": side, "flux": flux})
-        return parts
-
-    @property
-    def short(self) -> bool:
-        """Whether all its formulas are short enough for a scene."""
-        return super().short and all(len(part.get("flux", "")) < 4000 for part in self.boundary())
-
-    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-        """The scene (collective)."""
-        return Scene(mesh=made(self.mesh, comm), boundary=self.boundary(), **self.data())
-
-    def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, from below, with the energy of the foundation but not of springs; the norm of u (collective)."""
-        error, norm = super().error(field)
-        nodes = self.nodes(field)
-        px, py = nodes.points.T
-        true = sum((part.at(px, py) for part in self.u()), np.zeros(len(px)))
-        off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - true
-        k = self.size * SHAPES[self.shape].at(px, py)
-        return float(np.hypot(error, np.sqrt(field.comm.allreduce(float(nodes.weights @ (k * off**2)))))), norm
+        spring = f"{self.stiff!r}*{SHAPES[self.spring].text(self.spelling)}" if self.stiff > 0 else ""
+        return [*([{"on": given, "value": self.value()}] if given else []),
+                *(self.natural(side, spring) for side in self.sides)]  # fmt: skip
 
     def curves(self) -> list[Curve]:
-        """See `ClosedForm.curves`."""
+        """See `Manufactured.curves`."""
         return [*super().curves(), HALF]
 
 
@@ -115,15 +82,9 @@ def supported(draw: st.DrawFn) -> Supported:
     foundation = draw(st.sampled_from([0.0, 0.0, 0.3, 7.0, 300.0, 1e5]))
     sides = draw(st.lists(st.sampled_from(sorted(SIDES)), min_size=0 if foundation else 1, max_size=3, unique=True))
     found = Supported(
-        base.mesh,
-        {**base.options, "element": "P1"},
-        base.spelling,
-        base,
-        draw(st.sampled_from(sorted(SHAPES))),
-        foundation,
-        tuple(sides),
-        draw(st.sampled_from(sorted(SHAPES))),
+        base.mesh, {**base.options, "element": "P1"}, base.spelling, base, draw(st.sampled_from(sorted(SHAPES))),
+        foundation, tuple(sides), draw(st.sampled_from(sorted(SHAPES))),
         draw(st.sampled_from([0.0, 0.0, 0.5, 20.0, 1e4])),
-    )
+    )  # fmt: skip
     assume(found.short)
     return found

@@ -14,10 +14,10 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from sympy import Expr
 
-from tests.random.families.closed import (
+from tests.random.families.manufactured import (
     Circle,
-    ClosedForm,
     Line,
+    Manufactured,
     Piecewise,
     Side,
     distance,
@@ -36,7 +36,7 @@ CHANGES = ("none", "none", "jump away", "kink away", "jump", "kink")
 
 
 @dataclass(frozen=True)
-class Touching(ClosedForm):
+class Touching(Manufactured):
     """One obstacle that u touches on a half plane, a strip, a disc, or beside these; or two obstacles.
 
     Attributes:
@@ -126,7 +126,7 @@ class Touching(ClosedForm):
 
     def forces(self, u: Piecewise) -> Piecewise:
         """The load that a function in the parts of w is in balance with."""
-        return u.map(lambda one: load_of(one, expression(self.stiff)))
+        return u.map(load_of, self.tension())
 
     def u(self) -> list[Piecewise]:
         return [self._psi()[0].map(lambda psi, w: self._turned(psi + w), self.above()[0])]

@@ -1,32 +1,33 @@
-"""Closed forms: u and the tension by SymPy's expressions in parts of the plane; load and flux are derived from them."""
+"""Manufactured solutions: u and the tension by SymPy's expressions in parts of the plane; load and flux follow."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, lru_cache, reduce
 from math import cos, sin
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import sympy
 from mpi4py import MPI
 from sympy import Expr
 
+from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families import integrals
 from tests.random.families.elements import Field
-from tests.random.families.family import Family, Judgement, toml
-from tests.random.families.integrals import Nodes, Pieces, energy_error
+from tests.random.families.family import Family, Judgement
+from tests.random.families.integrals import Nodes, Pieces, energy_error, intervals
 from tests.random.families.meshes import OWN, made
 
 x, y = sympy.symbols("x y", real=True)
 COMPARED = (("{a} < {b}", "{a} >= {b}"), ("not {a} >= {b}", "not {a} < {b}"),
             ("sign({a} - {b}) < 0", "sign({a} - {b}) >= 0"), ("min({a}, {b}) < {b}", "max({a}, {b}) == {a}"),
             ("{b} - {a} > 0", "{b} <= {a}"))  # fmt: skip
-
-LONGEST = 2000  # characters of a formula
+SIDES = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
+LONGEST, LONGEST_FLUX = 2000, 4000  # characters of a formula
 
 
 @dataclass(frozen=True)
@@ -82,9 +83,12 @@ class Piecewise:
         return [curve for sides, _ in self.parts for curve, _ in sides]
 
     def map(self, action: Callable[..., Expr], *others: Piecewise) -> Piecewise:
-        """In each part, from its expression and those of others with the same parts."""
-        columns = zip(*([value for _, value in one.parts] for one in (self, *others)), strict=True)
-        return Piecewise([(sides, action(*values)) for (sides, _), values in zip(self.parts, columns, strict=True)])
+        """In each part, from its expression and those of others with the same parts, or with one for all."""
+        many = [list(one.parts) * (len(self.parts) if len(one.parts) == 1 else 1) for one in others]
+        return Piecewise([
+            (sides, action(value, *(part[1] for part in rest)))
+            for (sides, value), *rest in zip(self.parts, *many, strict=True)
+        ])  # fmt: skip
 
     def text(self, spelling: int = 0) -> str:
         """As a formula of a scene: `where` in `where`, or the other way round."""
@@ -101,9 +105,14 @@ class Piecewise:
         found, free = np.zeros(points_x.shape), np.ones(points_x.shape, dtype=bool)
         for sides, value in self.parts:
             here = reduce(np.logical_and, (curve.below(points_x, points_y) == below for curve, below in sides), free)
-            found[here] = sympy.lambdify([x, y], value, "numpy", cse=True)(points_x[here], points_y[here])
+            found[here] = _function(value)(points_x[here], points_y[here])
             free = free & ~here
         return found
+
+
+@lru_cache(maxsize=100)
+def _function(value: Expr) -> Callable[..., np.ndarray]:
+    return sympy.lambdify([x, y], value, "numpy", cse=True)
 
 
 def everywhere(value: Expr | float) -> Piecewise:
@@ -116,9 +125,11 @@ def expression(text: str) -> Expr:
     return sympy.sympify(text, {"x": x, "y": y})
 
 
-def load_of(u: Expr, tension: Expr) -> Expr:
-    """-div(tension grad u)."""
-    found = -sum(sympy.diff(tension * sympy.diff(u, s), s) for s in (x, y))
+def load_of(u: Expr, tension: Expr, foundation: Expr | float = 0, *, axial: bool = False) -> Expr:
+    """-div(tension grad u) + foundation u; with axial symmetry x is the radius."""
+    found = -sum(sympy.diff(tension * sympy.diff(u, s), s) for s in (x, y)) + foundation * u
+    if axial:
+        found -= tension * sympy.expand(sympy.expand(sympy.diff(u, x)) / x)
     return sympy.expand(found) if found.is_polynomial(x, y) else found
 
 
@@ -138,8 +149,8 @@ def square(middle: tuple[float, float]) -> Expr:
 
 
 @dataclass(frozen=True)
-class ClosedForm(Family):
-    """A scene whose u is a sum of piecewise expressions, given on the whole boundary.
+class Manufactured(Family):
+    """A scene whose u is a sum of piecewise expressions, given on the whole boundary unless `boundary` says otherwise.
 
     Attributes:
         mesh: The table [mesh], or what `meshes.made` takes.
@@ -151,34 +162,65 @@ class ClosedForm(Family):
     options: dict[str, Any]
     spelling: int
 
+    accuracy: ClassVar[float] = 1e-9  # of the true error, relative
+
     @abstractmethod
     def u(self) -> list[Piecewise]:
-        """Its sum is u."""
+        """Its sum is u; where `gradient` is given instead there are none."""
 
     @abstractmethod
     def data(self) -> dict[str, Any]:
-        """What a scene has in addition to mesh and boundary values."""
+        """What a scene has in addition to mesh and boundary."""
 
     def tension(self) -> Piecewise:
         """As numbers or expressions."""
         return everywhere(1)
 
+    def foundation(self) -> Piecewise | None:
+        """Its stiffness."""
+        return None
+
+    def weight(self, px: np.ndarray) -> np.ndarray:
+        """Of integrals at points: with axial symmetry the radius."""
+        return np.ones_like(px)
+
     def poles(self) -> list[tuple[float, float]]:
         """Where the gradient is infinite, or not continuous."""
         return []
+
+    def more(self, judgement: Judgement, answer: Answer) -> None:
+        """Check what else is known of an answer (collective)."""
 
     def value(self) -> str:
         """u as the scene has it."""
         return " + ".join(part.text(self.spelling) for part in self.u())
 
+    def boundary(self) -> list[dict[str, Any]]:
+        """The parts of the boundary."""
+        return [{"value": self.value()}]
+
+    def natural(self, side: str, spring: str = "", more: str = "") -> dict[str, Any]:
+        """A side where the flux of u is given in place of u, with springs, and with more forces, as text."""
+        nx, ny = SIDES[side]
+        outward = (
+            part.map(lambda u, tension: tension * (nx * sympy.diff(u, x) + ny * sympy.diff(u, y)), self.tension())
+            for part in self.u()
+        )
+        flux = " + ".join(part.text(self.spelling) for part in outward) + more
+        return {"on": side, "flux": f"{flux} + {spring}*({self.value()})", "spring": spring} if spring else {
+            "on": side, "flux": flux}  # fmt: skip
+
     def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
         """The scene (collective)."""
-        return Scene(mesh=made(self.mesh, comm), boundary=[{"value": self.value()}], **self.data())
+        return Scene(mesh=made(self.mesh, comm), boundary=self.boundary(), **self.data())
 
     def judge(self, judgement: Judgement) -> None:
         answer = judgement.solve(lambda: self.scene(judgement.comm), **self.options)
-        if answer is not None:
-            judgement.certificate(answer, *self.error(Field(answer.u)))
+        if answer is None:
+            return
+        if {"bound", "tol"} & set(self.options):
+            judgement.certificate(answer, *self.error(Field(answer.u)), self.accuracy)
+        self.more(judgement, answer)
 
     def curves(self) -> list[Curve]:
         """Where expressions change."""
@@ -186,30 +228,50 @@ class ClosedForm(Family):
 
     def nodes(self, field: Field, count: int = 10) -> Nodes:
         """Gauss points between the curves of the data."""
-        curves = self.curves()
+        lines: dict[tuple[float, float], set[float]] = {}
+        for curve in (curves := self.curves()):
+            if isinstance(curve, Line):
+                lines.setdefault(curve.direction, set()).add(curve.place)
+        if field.vertices.shape[2] == 1:
+            return intervals(field, sorted(lines.get((1.0, 0.0), ())))
         pieces = Pieces.of(field)
-        for line in dict.fromkeys(curve for curve in curves if isinstance(curve, Line)):
-            pieces = pieces.cut(line.direction, [line.place])
+        for direction, places in lines.items():
+            pieces = pieces.cut(direction, sorted(places))
         circles = list(dict.fromkeys(curve for curve in curves if isinstance(curve, Circle)))
         return pieces.along(circles, self.poles(), count)
 
+    @cached_property
+    def _slopes(self) -> list[list[Piecewise]]:
+        return [[part.map(lambda value, s=s: sympy.diff(value, s)) for part in self.u()] for s in (x, y)]
+
+    def gradient(self, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of u at points."""
+        along, across = (sum((part.at(px, py) for part in parts), np.zeros(px.shape)) for parts in self._slopes)
+        return along, across
+
+    def stiffness(self, px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        """The tension at points times the weight, or matrices of shape (n, 2, 2)."""
+        return self.weight(px) * self.tension().at(px, py)
+
     def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, from below, and the norm of u (collective)."""
-        slopes = [[part.map(lambda value, s=s: sympy.diff(value, s)) for part in self.u()] for s in (x, y)]
-
-        def gradient(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            along, across = (sum((part.at(x, y) for part in parts), np.zeros(x.shape)) for parts in slopes)
-            return along, across
-
-        return energy_error(field, self.nodes(field), self.tension().at, gradient)
+        """Of a field, from below, with the energy of the foundation but not of springs; the norm of u (collective)."""
+        nodes, k = self.nodes(field), self.foundation()
+        error, norm = energy_error(field, nodes, self.stiffness, self.gradient)
+        if k is None:
+            return error, norm
+        px, py = nodes.coordinates
+        off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - sum(part.at(px, py) for part in self.u())
+        more = field.comm.allreduce(float(nodes.weights @ (self.weight(px) * k.at(px, py) * off**2)))
+        return float(np.hypot(error, np.sqrt(more))), norm
 
     @property
     def short(self) -> bool:
         """Whether all its formulas are short enough for a scene."""
-        return all(len(str(text)) < LONGEST for text in (self.value(), *self.data().values()))
+        return all(len(str(text)) < LONGEST for text in (self.value(), *self.data().values())) and all(
+            len(part.get("flux", "")) < LONGEST_FLUX for part in self.boundary()
+        )
 
     def text(self) -> str:
-        asked = f"solve(scene, {self.options})"
         if self.mesh["shape"] != OWN:
-            return toml(self.scene(), asked)
-        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {asked}"
+            return super().text()
+        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.options}"
