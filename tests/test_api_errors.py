@@ -27,6 +27,7 @@ from fenicsx_obstacle import (
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.releases import functionspace
 from tests.conftest import COMM, membrane
+from tests.helpers import Membrane
 
 
 def bowl(x):
@@ -37,23 +38,15 @@ def square(cells=12, kind=dmesh.CellType.triangle, low=0.0, high=1.0):
     return dmesh.create_rectangle(COMM, [np.full(2, low), np.full(2, high)], [cells, cells], kind)
 
 
-class Own:
+class Own(Membrane):
     """A residual of the caller's own: Poisson with load 8, u = 0 around."""
 
     def __init__(self, mesh=None, load=8.0):
-        mesh = square() if mesh is None else mesh
-        self.V = functionspace(mesh, "Lagrange", 1)
-        self.u, v = fem.Function(self.V), ufl.TestFunction(self.V)
-        self.F = (ufl.inner(ufl.grad(self.u), ufl.grad(v)) - load * v) * ufl.dx
-        self.energy = (ufl.inner(ufl.grad(self.u), ufl.grad(self.u)) / 2 - load * self.u) * ufl.dx
-        dim = mesh.topology.dim
-        mesh.topology.create_connectivity(dim - 1, dim)
-        facets = dmesh.exterior_facet_indices(mesh.topology)
-        self.bc = fem.dirichletbc(fem.Function(self.V), fem.locate_dofs_topological(self.V, dim - 1, facets))
+        super().__init__(square() if mesh is None else mesh, load=load)
 
     def solve(self, eps=1e-6, method="penalty", **given):
         self.u.x.array[:] = 0.0
-        return ObstacleProblem(self.F, self.u, **{"bcs": [self.bc], **given}).solve(eps=eps, method=method)
+        return self.problem(**given).solve(eps=eps, method=method)
 
     def values(self, **given):
         """Of u with these arguments."""
@@ -271,12 +264,10 @@ def test_warnings_of_tags_and_conditions_without_effect():
     order = np.argsort(facets)
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=dmesh.meshtags(mesh, 1, facets[order], numbers[order]))
     none = fem.dirichletbc(fem.Function(own.V), np.zeros(0, dtype=np.int32))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         ObstacleProblem(own.F + v * ds(3), own.u, bcs=own.bc, upper=0.3)
     assert not [one for one in caught if "ObstacleProblem:" in str(one.message)]
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         ObstacleProblem(own.F + v * ds(3) + v * ds(5) + v * ds(7), own.u, bcs=[own.bc, none], upper=0.3)
     found = [one for one in caught if "ObstacleProblem:" in str(one.message)]
     assert [str(one.message) for one in found] == ([] if COMM.rank else [

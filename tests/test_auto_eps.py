@@ -13,6 +13,7 @@ from fenicsx_obstacle.algebra.penalty_parameter import PENETRATION, _share_of_co
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import functionspace
 from tests.conftest import COMM
+from tests.helpers import outline
 
 NOTHING = 1e20  # no obstacle
 
@@ -27,8 +28,7 @@ class Form:
         self.F = (k(self.u, x) * ufl.inner(ufl.grad(self.u), ufl.grad(v)) - load * v) * ufl.dx
         if reaction is not None:
             self.F += reaction(self.u) * v * ufl.dx
-        edge = fem.locate_dofs_geometrical(V, lambda x: np.isclose(abs(x[:dim] - 0.5).max(axis=0), 0.5))
-        self.bc = fem.dirichletbc(0.0, edge, V)
+        self.bc = fem.dirichletbc(0.0, outline(V), V)
 
     def problem(self, start=0.0, **obstacles):
         self.u.interpolate(lambda x: start * np.prod(np.sin(np.pi * x[: self.V.mesh.topology.dim]), axis=0))
@@ -135,15 +135,13 @@ def test_eps_follows_changed_coefficients():
 def test_a_large_given_eps_warns():
     """It is used as it is; the warning and the remark say what penetration is against the range of u."""
     problem = Form(2, 8, lambda u, x: 1.0, 8.0).problem(upper=0.3)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         solution = problem.solve(eps=0.01)
     words = [str(one.message) for one in caught if one.category is PenetrationWarning]
     assert len(words) == (COMM.rank == 0)
     assert solution.eps == 0.01 and "% of the range of u" in solution.summary()
     assert any("range of u" in remark for remark in solution.record["remarks"])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", PenetrationWarning)
+    with warnings.catch_warnings(action="error", category=PenetrationWarning):
         assert "remarks" not in problem.solve().record and "range of u" not in problem.solve().summary()
 
 

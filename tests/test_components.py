@@ -6,27 +6,16 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, ObstacleProblem, Scene, releases, solve
+from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.discrete.conformity import components
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.meshes import coarsest
 from tests.conftest import COMM
+from tests.helpers import Membrane, grid, mesh_of
 
 KINDS = {2: "interval", 3: "triangle", 4: "tetrahedron"}
-
-
-def grid(n, m, corner=(0.0, 0.0), size=(1.0, 1.0), flip=False):
-    """Points and triangles of a rectangle of n times m squares."""
-    x, y = np.meshgrid(np.linspace(0, size[0], n + 1), np.linspace(0, size[1], m + 1), indexing="ij")
-    number = np.arange((n + 1) * (m + 1)).reshape(n + 1, m + 1)
-    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]))
-    cells = [[a, b, c], [b, d, c]] if flip else [[a, b, d], [a, d, c]]
-    points = np.column_stack([x.ravel() + corner[0], y.ravel() + corner[1]])
-    return points, np.concatenate([np.column_stack(triangle) for triangle in cells])
 
 
 def box(n, corner=(0.0, 0.0, 0.0), reverse=False):
@@ -50,8 +39,7 @@ def union(*bodies, scale=1.0):
         cells.append(body + shift)
         shift += len(points)
     points, cells = np.concatenate([points for points, _ in bodies]) * scale, np.concatenate(cells)
-    mine = slice(None) if COMM.rank == 0 else slice(0, 0)
-    return releases.create_mesh(COMM, cells[mine], points[mine], KINDS[cells.shape[1]])
+    return mesh_of(points, cells, KINDS[cells.shape[1]])
 
 
 def level(mesh):
@@ -116,8 +104,7 @@ def test_parts_that_are_apart_are_counted(name, scale):
 def test_corner_node_that_two_parts_share():
     """A shared vertex is no connection of two membranes."""
     points = np.array([[0.0, 0], [1, 0], [1, 1], [2, 1], [2, 2]])
-    mine = slice(None) if COMM.rank == 0 else slice(0, 0)
-    mesh = releases.create_mesh(COMM, np.array([[0, 1, 2], [2, 3, 4]])[mine], points[mine], "triangle")
+    mesh = mesh_of(points, [[0, 1, 2], [2, 3, 4]])
     found = components(mesh)
     assert found.count == 2
     V = releases.functionspace(mesh, "Lagrange", 1)
@@ -172,10 +159,9 @@ def test_cells_of_the_callers_own_mesh():
         mesh = union((points, np.array(cells)))
         with pytest.raises(InputError, match="scene: .*" + words):
             level(mesh)
-        V = releases.functionspace(mesh, "Lagrange", 1)
-        u, v = fem.Function(V), ufl.TestFunction(V)
+        own = Membrane(mesh)
         with pytest.raises(InputError, match="ObstacleProblem: .*" + words):
-            ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, lower=-1)
+            own.problem(bcs=[], lower=-1)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

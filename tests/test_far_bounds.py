@@ -12,23 +12,19 @@ from petsc4py import PETSc
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, releases, solve
 from fenicsx_obstacle.parallel import largest, smallest, total
 from tests.conftest import COMM, slow_except
+from tests.helpers import Membrane, outline
 
 FAR = [1e3, 1e6, 1e12, 1e16, 1e20, 1e30, float(PETSc.INFINITY), np.inf] if COMM.size == 1 else [1e12, np.inf]
 CELLS = {"P1": ("triangle", 1), "P2": ("triangle", 2), "Q1": ("quadrilateral", 1), "Q2": ("quadrilateral", 2)}
 
 
-class Plate:
+class Plate(Membrane):
     """A membrane with u = 1.25 + 0.3 x on the edge of a square, over a plate at 1.6 in its middle."""
 
     def __init__(self, element="P1", cells=12, load=0.0):
         cell, degree = CELLS[element]
-        self.mesh = dmesh.create_unit_square(COMM, cells, cells, getattr(dmesh.CellType, cell))
-        self.V = releases.functionspace(self.mesh, "Lagrange", degree)
-        self.u, self.v, self.g = fem.Function(self.V), ufl.TestFunction(self.V), fem.Function(self.V)
-        self.g.interpolate(lambda x: 1.25 + 0.3 * x[0])
-        self.edge = fem.locate_dofs_geometrical(self.V, lambda x: np.isclose(abs(x[:2] - 0.5).max(axis=0), 0.5))
-        self.F = (ufl.inner(ufl.grad(self.u), ufl.grad(self.v)) - load * self.v) * ufl.dx
-        self.bc = fem.dirichletbc(self.g, self.edge)
+        super().__init__(dmesh.create_unit_square(COMM, cells, cells, getattr(dmesh.CellType, cell)), degree, load)
+        self.edge.interpolate(lambda x: 1.25 + 0.3 * x[0])
 
     @staticmethod
     def over(far, height=1.6):
@@ -37,7 +33,7 @@ class Plate:
 
     def solve(self, lower, method="penalty", **more):
         self.u.x.array[:] = 0.0
-        return ObstacleProblem(self.F, self.u, bcs=self.bc, lower=lower).solve(method=method, **more)
+        return self.problem(lower=lower).solve(method=method, **more)
 
 
 @pytest.mark.slow
@@ -51,7 +47,7 @@ def test_its_value_changes_nothing(element, method):
         assert found.force.lower == pytest.approx(near.force.lower, rel=1e-9)
         assert largest(COMM, np.abs(found.u.x.array - near.u.x.array)) < 1e-11
         assert found.iterations == near.iterations
-        assert largest(COMM, np.abs(found.u.x.array - own.g.x.array)[own.edge]) <= 4e-16  # ghosts of g may differ
+        assert largest(COMM, np.abs(found.u.x.array - own.edge.x.array)[outline(own.V)]) <= 4e-16  # ghosts may differ
 
 
 @pytest.mark.parametrize("eps", [1e-4, 1e-12])
@@ -91,7 +87,7 @@ def test_contradictions_beside_it(element):
         }
         for words, sides in wrong.items():
             with pytest.raises(InputError, match=words):
-                ObstacleProblem(own.F, own.u, bcs=own.bc, **sides)
+                own.problem(**sides)
 
 
 def test_round_off_is_no_contradiction():
@@ -127,10 +123,17 @@ def test_every_kind_of_datum(far):
 
 @pytest.mark.parametrize("far", [np.inf, 1e20, 1e30])
 def test_on_the_wrong_side(far):
-    """A lower obstacle of +1e20 leaves no u."""
+    """A lower obstacle of +1e20 leaves no u, nor does an upper one of -1e20; with the other sign there is none."""
     own = Plate()
     with pytest.raises(InputError, match=r"is not a finite number: it is inf at .*; take -1e20 where"):
-        ObstacleProblem(own.F, own.u, bcs=own.bc, lower=own.over(-far))
+        own.problem(lower=own.over(-far))
+    g = fem.Function(own.V)
+    for side, sign, none in (("lower", 1, "-1e20"), ("upper", -1, "1e20")):
+        g.x.array[:] = sign * np.inf
+        with pytest.raises(InputError, match=f"take {none} where there is no obstacle"):
+            own.problem(**{side: g})
+        g.x.array[:] = -sign * far
+        assert own.problem(**{side: g}).solve().area == 0
 
 
 PLATE = "where(max(abs(x - 0.5), abs(y - 0.5)) < 0.2, 1.6, -{})"
@@ -216,7 +219,7 @@ def test_a_minimal_surface(far):
     """Full Newton steps diverge from u = 0; the line search begins where they did. With the energy it comes first, and
     no far bound is ever met."""
     own = Plate(cells=7)
-    own.g.interpolate(lambda x: (x[0] - 0.5) ** 2 - (x[1] - 0.5) ** 2)
+    own.edge.interpolate(lambda x: (x[0] - 0.5) ** 2 - (x[1] - 0.5) ** 2)
     area = ufl.sqrt(1 + ufl.inner(ufl.grad(own.u), ufl.grad(own.u))) * ufl.dx
     forces, steps = [], []
     for energy in (None, area):

@@ -13,6 +13,7 @@ from fenicsx_obstacle.discrete.cells import cell_facets
 from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
 from tests.conftest import COMM, by_hand, slow_except
+from tests.helpers import grid
 
 BOXES = {1: dmesh.create_unit_interval, 2: dmesh.create_unit_square, 3: dmesh.create_unit_cube}
 MEETING = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2]], dtype=float)
@@ -56,7 +57,7 @@ def test_it_is_above_the_constant_of_a_box(dim, cells):
 @pytest.mark.parametrize("l_shape", [True, False])
 def test_it_is_above_eigenvalues(l_shape, where):
     """1/c^2 is below the least eigenvalue in P1 on a square with a slit, and on an L-shape with one."""
-    points, cells = _grid(8)
+    points, cells = grid(8, 8)
     points, cells = _cut(points, cells, (np.abs(points[:, 1] - 0.25) < 1e-9) & (points[:, 0] < 0.49),
                          points[cells].mean(axis=1)[:, 1] > 0.25)  # fmt: skip
     kept = ~np.all(points[cells].mean(axis=1) > 0.5, axis=1) | (not l_shape)
@@ -65,14 +66,6 @@ def test_it_is_above_eigenvalues(l_shape, where):
     K, M = _matrices(level, where)
     exact = 1 / np.sqrt(eigh(K, M, eigvals_only=True, subset_by_index=[0, 0])[0])
     assert exact <= constant(level, where) < 20 * exact
-
-
-def _grid(n: int) -> tuple[np.ndarray, np.ndarray]:
-    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
-    numbers = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    corners = [numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]]
-    squares = np.stack(corners, axis=2).reshape(-1, 4)
-    return np.column_stack([x.ravel(), y.ravel()]), np.vstack([squares[:, [0, 1, 3]], squares[:, [0, 3, 2]]])
 
 
 def _cut(points: np.ndarray, cells: np.ndarray, along: np.ndarray, beyond: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +97,7 @@ def test_no_path_no_constant():
 
 def comb(n: int) -> dmesh.Mesh:
     """The unit square, cut from below at x = 1/4 and 3/4, and from above at x = 1/2, but for gaps of 1/8."""
-    points, cells = _grid(n)
+    points, cells = grid(n, n)
     middle = points[cells].mean(axis=1)[:, 0]
     for at, up in ((0.25, True), (0.5, False), (0.75, True)):
         height = points[:, 1] if up else 1 - points[:, 1]

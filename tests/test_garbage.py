@@ -6,13 +6,12 @@ import resource
 from pathlib import Path
 
 import pytest
-import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
-from fenicsx_obstacle import ObstacleProblem, releases
 from tests.conftest import COMM
+from tests.helpers import Membrane
 
 CELLS, TIMES = 128, 4
 PROBLEM = 700 * CELLS**2 / COMM.size  # bytes of one, measured
@@ -27,11 +26,9 @@ def resident():
 
 
 def membrane(mesh):
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    boundary = fem.locate_dofs_geometrical(V, lambda x: (x[0] < 1e-9) | (x[0] > 1 - 1e-9))
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 8 * v * ufl.dx
-    return ObstacleProblem(F, u, bcs=[fem.dirichletbc(0.0, boundary, V)], lower=-0.3)
+    own = Membrane(mesh, load=-8.0)
+    ends = fem.locate_dofs_geometrical(own.V, lambda x: (x[0] < 1e-9) | (x[0] > 1 - 1e-9))
+    return own.problem(bcs=[fem.dirichletbc(0.0, ends, own.V)], lower=-0.3)
 
 
 def square():

@@ -11,6 +11,7 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import ObstacleProblem
 from fenicsx_obstacle.releases import functionspace
 from tests.conftest import COMM
+from tests.helpers import Membrane, outline
 
 MESHES = {
     "interval": lambda n: dmesh.create_unit_interval(COMM, 4 * n),
@@ -23,14 +24,11 @@ NEARBY = {1: 1.0, 2: 2.0, 3: 3.0}  # the first eigenvalue of -div grad on the un
 
 def warned(V, F, u, given=0.0, held=True, **options):
     """The words of all warnings of a solve, by each method."""
-    dim = V.mesh.topology.dim
-    around = fem.locate_dofs_geometrical(V, lambda x: np.isclose(abs(x[:dim] - 0.5).max(axis=0), 0.5))
-    bcs = [fem.dirichletbc(given, around, V)] if held else []
+    bcs = [fem.dirichletbc(given, outline(V), V)] if held else []
     found = []
     for method in ("penalty", "vi"):
         u.x.array[:] = 0.0
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             ObstacleProblem(F, u, bcs=bcs, **options).solve(method=method)
         found.append([str(one.message) for one in caught if "positive definite" in str(one.message)])
     return found
@@ -64,11 +62,10 @@ CALM = {
 @pytest.mark.parametrize("name", CALM)
 def test_no_false_alarm(name):
     rest, options = CALM[name]
-    mesh = MESHES["triangle"](10)
-    V = functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + rest(u, v, ufl.SpatialCoordinate(mesh))
-    assert warned(V, F, u, **options) == [[], []]
+    own = Membrane(MESHES["triangle"](10))
+    u, v = own.u, own.v
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + rest(u, v, ufl.SpatialCoordinate(own.mesh))
+    assert warned(own.V, F, u, **options) == [[], []]
 
 
 def test_bodies():
@@ -82,8 +79,7 @@ def test_bodies():
     down = ufl.as_vector([0.0, -1.0])
     for k.value, some in ((0.0, 0), (4.0, 1)):
         u.x.array[:] = 0.0
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             ObstacleProblem(F, u, bcs=bc, upper=1.0, of=ufl.dot(u, down), measure=ufl.ds).solve()
         words = [one for one in caught if "positive definite" in str(one.message)]
         assert len(words) == some * (COMM.rank == 0)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
-from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, releases, solve
+from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.discrete import drift as drift_checks
 from fenicsx_obstacle.parallel import largest, smallest
 from tests.conftest import COMM, slow_except
+from tests.helpers import Membrane, grid, mesh_of
 
 INTERVAL = {"shape": "interval", "cells": 20}
 SQUARE = {"shape": "rectangle", "cells": 12}
@@ -127,14 +127,8 @@ def test_a_thin_strip_that_samples_see():
 
 def separate(distance):
     """Two squares side by side that share nothing."""
-    points = np.array([[x + far, y] for far in (0.0, 1 + distance) for y in range(5) for x in range(5)]) / 4.0
-    points[25:, 0] += 1.0
-    cells = [
-        [first + y * 5 + x + k for k in corner]
-        for first in (0, 25) for y in range(4) for x in range(4) for corner in ((0, 1, 6), (0, 6, 5))
-    ]  # fmt: skip
-    mine = (np.array(cells), points) if COMM.rank == 0 else (np.empty((0, 3), dtype=np.int64), np.empty((0, 2)))
-    return releases.create_mesh(COMM, *mine, "triangle")
+    (points, cells), (others, more) = grid(4, 4), grid(4, 4, ((5 + distance) / 4, 0.0))
+    return mesh_of(np.concatenate([points, others]), np.concatenate([cells, more + len(points)]))
 
 
 def test_each_part_of_a_mesh_is_held():
@@ -180,15 +174,13 @@ def test_drift_needs_contact_forces(method):
 
 def far_above(load, method, foundation=0.0, start=1.0):
     """A form on a square without boundary values, a start above the obstacle at 0, and a load."""
-    mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [8, 8])
-    u = fem.Function(releases.functionspace(mesh, "Lagrange", 1))
-    v = ufl.TestFunction(u.function_space)
-    u.x.array[:] = start
-    k, f = (fem.Constant(mesh, float(value)) for value in (foundation, load))
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + k * u * v * ufl.dx - f * v * ufl.dx
-    energy = 0.5 * ufl.inner(ufl.grad(u), ufl.grad(u)) * ufl.dx + 0.5 * k * u**2 * ufl.dx - f * u * ufl.dx
-    more = {"energy": energy} if method == "energy" else {}
-    return ObstacleProblem(F, u, lower=0, **more).solve(eps=1e-8, method="vi" if method == "vi" else "penalty")
+    own = Membrane(cells=8, load=load)
+    k = fem.Constant(own.mesh, float(foundation))
+    own.u.x.array[:] = start
+    own.F += k * own.u * own.v * ufl.dx
+    energy = own.energy + 0.5 * k * own.u**2 * ufl.dx if method == "energy" else None
+    problem = own.problem(bcs=[], lower=0, energy=energy)
+    return problem.solve(eps=1e-8, method="vi" if method == "vi" else "penalty")
 
 
 @pytest.mark.parametrize("method", ["vi", "penalty", "energy"])

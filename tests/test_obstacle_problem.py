@@ -1,8 +1,6 @@
 """ObstacleProblem on the caller's own mesh, form, tags and Functions: the same solution as every other way in."""
 
 import gc
-import subprocess
-import sys
 import warnings
 import weakref
 from contextlib import nullcontext
@@ -28,34 +26,23 @@ from fenicsx_obstacle import (
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.releases import NEW, vec
+from tests import helpers
 from tests.conftest import COMM, membrane
+from tests.helpers import run_python
 
 TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
 ELEMENTS = [(TRIANGLE, 1, "P1"), (TRIANGLE, 2, "P2"), (QUADRILATERAL, 1, "Q1"), (QUADRILATERAL, 2, "Q2")]
 
 
-def held(V):
-    """u = 0 on the boundary, and its Function."""
-    mesh = V.mesh
-    mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
-    facets = dmesh.exterior_facet_indices(mesh.topology)
-    zero = fem.Function(V)
-    return fem.dirichletbc(zero, fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)), zero
-
-
-class Membrane:
+class Membrane(helpers.Membrane):
     """tension = mu, load f = 8 below g = 0.3 on a unit square."""
 
-    def __init__(self, cells=16, cell=TRIANGLE, degree=1, comm=COMM):
-        self.mesh = dmesh.create_rectangle(comm, [np.zeros(2), np.ones(2)], [cells, cells], cell)
-        self.V = releases.functionspace(self.mesh, "Lagrange", degree)
-        self.u, self.v = fem.Function(self.V), ufl.TestFunction(self.V)
-        self.bc, self.edge = held(self.V)
-        self.mu, self.f, self.g = (fem.Constant(self.mesh, PETSc.ScalarType(x)) for x in (1.0, 8.0, 0.3))
-        self.F = self.mu * ufl.inner(ufl.grad(self.u), ufl.grad(self.v)) * ufl.dx - self.f * self.v * ufl.dx
+    def __init__(self, cells=16, cell=TRIANGLE, degree=1):
+        super().__init__(cells=cells, cell=cell, degree=degree)
+        self.g = fem.Constant(self.mesh, PETSc.ScalarType(0.3))
 
     def problem(self, **more):
-        return ObstacleProblem(self.F, self.u, **{"bcs": [self.bc], "upper": self.g, **more})
+        return super().problem(**{"upper": self.g, **more})
 
 
 def same(one, other):
@@ -99,7 +86,7 @@ def test_the_same_as_one_added_line():
         b = fem.petsc.create_vector(own.V if NEW else form)
         fem.petsc.assemble_vector(b, form)
         b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        b.array[fixed_here(own)] = 0.0
+        b.array[fixed_dofs(own)] = 0.0
         ksp.setOperators(A)
         step = b.duplicate()
         ksp.solve(b, step)
@@ -111,7 +98,7 @@ def test_the_same_as_one_added_line():
     assert largest(COMM, np.abs(u.x.array - exact)) < 1e-9
 
 
-def fixed_here(own):
+def fixed_dofs(own):
     dofs = own.bc.dof_indices()[0]
     return dofs[dofs < own.V.dofmap.index_map.size_local]
 
@@ -124,30 +111,23 @@ def test_other_dimensions(shape, degree):
         mesh = dmesh.create_interval(COMM, 20, [0.0, 1.0])
     else:
         mesh = dmesh.create_box(COMM, [np.zeros(3), np.ones(3)], [5, 5, 5], getattr(dmesh.CellType, shape))
-    V = releases.functionspace(mesh, "Lagrange", degree)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - 30 * v * ufl.dx
-    bc, _ = held(V)
+    own = helpers.Membrane(mesh, degree, load=30.0)
     if (shape, degree) == ("tetrahedron", 2):
         with pytest.raises(InputError, match=r"no rule at the nodes of degree 2 on a tetrahedron has positive weights"):
-            ObstacleProblem(F, u, bcs=[bc], upper=0.3)
+            own.problem(upper=0.3)
         return
-    problem = ObstacleProblem(F, u, bcs=[bc], upper=0.3)
+    problem = own.problem(upper=0.3)
     found = problem.solve(method="vi")
     assert largest(COMM, found.u.x.array) <= 0.3 + 1e-12
     assert largest(COMM, found.pressure.x.array) <= 0 and found.area > 0.01
-    supports = COMM.allreduce(float(problem.b.array_r[fixed_dofs(bc, V)].sum()))
+    supports = COMM.allreduce(float(problem.b.array_r[fixed_dofs(own)].sum()))
     assert np.isclose(30 - found.force.upper, -supports, rtol=1e-8)
 
 
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_the_solver_can_be_looked_at(method):
     """`solver` has the counts, the reason and the options of the last SNES, and keeps no problem alive."""
-    mesh = dmesh.create_unit_square(COMM, 48, 48)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - 30 * v * ufl.dx
-    problem = ObstacleProblem(F, u, bcs=[held(V)[0]], upper=0.3)
+    problem = helpers.Membrane(cells=48, load=30.0).problem(upper=0.3)
     assert problem.solver is None
     found = problem.solve(method=method)
     assert problem.solver.getConvergedReason() > 0 and problem.solver.ksp.getType() == "cg"
@@ -156,11 +136,6 @@ def test_the_solver_can_be_looked_at(method):
     del problem
     gc.collect()
     assert inner() is None
-
-
-def fixed_dofs(bc, V):
-    dofs = bc.dof_indices()[0]
-    return dofs[dofs < V.dofmap.index_map.size_local]
 
 
 @pytest.mark.slow
@@ -515,13 +490,9 @@ def test_saved_and_read(folder, cell, degree, element):
 
 def test_along_a_line():
     """u, gap, pressure and slope of a known solution in 1D: u = x(1 - x) under g = 3/16 touches (1/4, 3/4)."""
-    mesh = dmesh.create_interval(COMM, 64, [0.0, 1.0])
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    # u'' = -f, tangent to g at a: f a^2/2 = g
-    f, a = 6.0, 0.25
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - f * v * ufl.dx
-    line = ObstacleProblem(F, u, bcs=[held(V)[0]], upper=f * a**2 / 2).solve(method="vi").along([0], [1], n=129)
+    f, a = 6.0, 0.25  # u'' = -f, tangent to g at a: f a^2/2 = g
+    own = helpers.Membrane(dmesh.create_interval(COMM, 64, [0.0, 1.0]), load=f)
+    line = own.problem(upper=f * a**2 / 2).solve(method="vi").along([0], [1], n=129)
     exact = np.where(line.s < a, f * line.s * (a - line.s / 2), f * a**2 / 2)
     left = line.s <= 0.5
     assert np.abs(line.u - exact)[left].max() < f / 8 / 64**2 * 1.01
@@ -572,7 +543,7 @@ assert not [name for name in sys.modules if name.startswith("fenicsx_obstacle.sc
 @pytest.mark.serial
 def test_without_scenes(tmp_path):
     """Built, solved, saved, read and drawn where the package has no scenes."""
-    done = subprocess.run([sys.executable, "-c", BLOCKED, str(tmp_path)], capture_output=True, text=True, timeout=150)
+    done = run_python(BLOCKED, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Newton step" in done.stdout and (tmp_path / "picture.png").stat().st_size > 1000
 
@@ -594,14 +565,11 @@ def test_mistakes_in_a_solve(given, words):
 def test_meshes_that_are_none():
     """Quadrilaterals that are not convex and curved cells are rejected with their place or their degree."""
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.2, 0.2]])  # the last corner is pushed in
-    cells = np.array([[0, 1, 2, 3]] if COMM.rank == 0 else np.empty((0, 4)), dtype=np.int64)
-    mesh = releases.create_mesh(COMM, cells, points if COMM.rank == 0 else points[:0], "quadrilateral")
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
+    own = helpers.Membrane(helpers.mesh_of(points, [[0, 1, 2, 3]], "quadrilateral"))
     with pytest.raises(
         InputError, match=r"a quadrilateral at \(0.3, 0.3, 0\) has no area at a corner, or is not convex"
     ):
-        ObstacleProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, u, upper=1)
+        own.problem(bcs=[], upper=1)
 
 
 @pytest.mark.slow
@@ -722,20 +690,6 @@ def test_forms_that_are_nonlinear_may_be_concave_at_the_start():
         problem.solve()
     with pytest.raises(InputError, match="is not a finite number: it is inf at"):
         ObstacleProblem(small + v / u * ufl.dx, u, bcs=own.bc, upper=0.8).solve()
-
-
-@pytest.mark.slow
-def test_an_infinite_obstacle_gets_a_remedy():
-    """Infinity means 'no obstacle here' with one sign only."""
-    own = Membrane(cells=4)
-    for side, far in (("lower", -1e20), ("upper", 1e20)):
-        g = fem.Function(own.V)
-        g.x.array[:] = np.copysign(np.inf, -far)
-        with pytest.raises(InputError, match=f"take {far:.0e} where there is no obstacle".replace("+", "")):
-            ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g})
-        for none in (far, np.copysign(np.inf, far)):
-            g.x.array[:] = none
-            assert ObstacleProblem(own.F, own.u, bcs=own.bc, **{side: g}).solve().area == 0
 
 
 @pytest.mark.parametrize("wrong", ["sign", "load", "none"])

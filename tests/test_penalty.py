@@ -11,6 +11,7 @@ from fenicsx_obstacle import InputError, contact_pressure, nodal_rule, penalty, 
 from fenicsx_obstacle.forms.penalty import penalty_energy
 from fenicsx_obstacle.parallel import total
 from tests.conftest import COMM
+from tests.helpers import Membrane
 
 
 @pytest.fixture
@@ -123,13 +124,9 @@ def test_degrees_without_a_rule(degree):
 def snes_of_own(eps, divergence, linesearch):
     """PETSc's reason, steps and the contact force of a plain SNES for the Laplacian with load -10, from u = 0
     (collective)."""
-    mesh = releases.settle(dmesh.create_unit_square(COMM, 40, 40))
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
-    g = -0.3 - 0.2 * x[0]
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 10 * v * ufl.dx + penalty(u, v, lower=g, eps=eps)
-    facets = dmesh.exterior_facet_indices(mesh.topology)
-    bc = fem.dirichletbc(fem.Function(V), fem.locate_dofs_topological(V, 1, facets))
+    own = Membrane(releases.settle(dmesh.create_unit_square(COMM, 40, 40)), load=-10.0)
+    u, V, bc, g = own.u, own.V, own.bc, -0.3 - 0.2 * ufl.SpatialCoordinate(own.mesh)[0]
+    F = own.F + penalty(u, own.v, lower=g, eps=eps)
     form, J = releases.form(F), releases.form(ufl.derivative(F, u))
     owned = V.dofmap.index_map.size_local
 

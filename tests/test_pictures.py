@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import InputError, Scene, releases, solve
+from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
@@ -15,6 +15,7 @@ from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
 from fenicsx_obstacle.show.space import draw_views
 from fenicsx_obstacle.show.study import report_study
 from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.helpers import grid, mesh_of
 
 CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
 
@@ -92,15 +93,10 @@ def test_free_boundary_is_a_smooth_closed_line(name, radius, element, request):
 
 def with_a_hole(n=12):
     """The unit square without its middle third."""
-    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(n), np.arange(n)))
-    hole = (i >= n // 3) & (i < 2 * n // 3) & (j >= n // 3) & (j < 2 * n // 3)
-    corner = (j * (n + 1) + i)[~hole]
-    cells = np.vstack([corner + np.array(c)[:, None] for c in ((0,), (1,), (n + 2,))]).T
-    cells = np.vstack([cells, np.vstack([corner, corner + n + 1, corner + n + 2]).T])
-    used, cells = np.unique(cells, return_inverse=True)
-    points, mine = np.column_stack([x.ravel(), y.ravel()])[used], slice(None) if COMM.rank == 0 else slice(0, 0)
-    return releases.create_mesh(COMM, cells.reshape(-1, 3)[mine].astype(np.int64), points[mine], "triangle")
+    points, cells = grid(n, n)
+    hole = np.all(np.abs(points[cells].mean(axis=1) - 0.5) < 1 / 6, axis=1)
+    used, cells = np.unique(cells[~hole], return_inverse=True)
+    return mesh_of(points[used], cells.reshape(-1, 3))
 
 
 def test_a_hole_is_outlined_and_stays_white():
@@ -304,8 +300,7 @@ def cylinder():
     a = (np.arange(m)[:, None] * n + np.arange(n)).ravel()
     b = (np.arange(m)[:, None] * n + (np.arange(n) + 1) % n).ravel()
     cells = np.concatenate([np.stack([a, b, a + n], axis=1), np.stack([b, b + n, a + n], axis=1)])
-    mine = slice(None) if COMM.rank == 0 else slice(0, 0)
-    return releases.create_mesh(COMM, cells[mine].astype(np.int64), points[mine], "triangle")
+    return mesh_of(points, cells)
 
 
 @pytest.mark.variant
@@ -405,10 +400,9 @@ def test_a_picture_that_cannot_be_written(disk, folder):
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):
     """It has the picture of a plane mesh, without warnings."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, 9)] * 2))
-    a = np.arange(81).reshape(9, 9)[:-1, :-1].ravel()[:, None]
-    cells = np.concatenate([a + np.array(corners) for corners in ([0, 1, 10], [0, 10, 9])])
-    patch = patch_of({"points": np.column_stack([x, y, 0 * x + height]), "cells": cells, "u": x, "lower": 0 * x - 1,
+    points, cells = grid(8, 8)
+    x = points[:, 0]
+    patch = patch_of({"points": np.column_stack([points, 0 * x + height]), "cells": cells, "u": x, "lower": 0 * x - 1,
                       "pressure": 0 * x, "contact": 0 * x})  # fmt: skip
     page = blank(6, 4)
     draw_views(page, list(page.add_gridspec(1, 1)), patch, {"u": pressures(x)}, "surface", "z")

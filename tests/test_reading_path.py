@@ -5,17 +5,13 @@ import sys
 
 import numpy as np
 import pytest
-import ufl
-from dolfinx import fem
-from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
-from fenicsx_obstacle import ObstacleProblem, releases
 from fenicsx_obstacle.algebra.newton import solve_penalty
 from fenicsx_obstacle.algebra.options import EpsFormula
 from fenicsx_obstacle.algebra.solve_system import _system
 from fenicsx_obstacle.checkout import ROOT
-from tests.conftest import COMM
+from tests.helpers import Membrane
 from tests.mutants import misplaced, mutants
 
 
@@ -29,12 +25,7 @@ def documented():
 def test_the_calls_lead_to_the_penalty():
     """In a solve, the last call of the table is reached through all others, in their order."""
     wanted, found = documented(), []
-    mesh = dmesh.create_unit_square(COMM, 40, 40)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    edge = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[:2] * (1 - x[:2]), 0).any(axis=0))
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 8 * v * ufl.dx
-    problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(0.0, edge, V)], lower=-0.3)
+    problem = Membrane(cells=40, load=-8.0).problem(lower=-0.3)
 
     def watch(frame, event, _):
         if event == "call" and frame.f_code.co_name == "_excess":

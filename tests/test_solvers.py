@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import NotConverged, ObstacleProblem, Scene, releases, solve
 from fenicsx_obstacle.algebra import newton
+from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.nested import begin_from
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import CYCLING
@@ -130,30 +131,18 @@ def test_another_reference_leaves_u():
 @pytest.mark.slow
 def test_petsc_options_override(ball):
     """A user's option under the solver's prefix wins over the default."""
-    options = PETSc.Options()
-    options["penalty_ksp_type"], options["penalty_pc_type"] = "preonly", "lu"
-    options["penalty_pc_factor_mat_solver_type"] = "mumps"
-    try:
+    with defaults("penalty_", {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}):
         direct = solve(ball, eps=1e-6)
-    finally:
-        for key in ("ksp_type", "pc_type", "pc_factor_mat_solver_type"):
-            options.delValue(f"penalty_{key}")
     assert direct.record["krylov_iterations"] == direct.record["newton_iterations"]
     iterative = solve(ball, eps=1e-6)
     assert np.isclose(direct.record["energy"], iterative.record["energy"], rtol=1e-10)
 
 
-@pytest.mark.parametrize(("method", "prefix"), [("penalty", "penalty"), ("vi", "vi")])
-def test_unconverged_is_no_answer(ball, method, prefix):
-    options = PETSc.Options()
-    options[f"{prefix}_snes_max_it"] = 3
-    options["penalty_snes_linesearch_type"] = "basic"
-    try:
-        with pytest.raises(NotConverged, match="limit of steps") as caught:
-            solve(ball, method=method, eps=1e-8, start="cold")
-    finally:
-        options.delValue(f"{prefix}_snes_max_it")
-        options.delValue("penalty_snes_linesearch_type")
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_unconverged_is_no_answer(ball, method):
+    with (defaults(f"{method}_", {"snes_max_it": 3}), defaults("penalty_", {"snes_linesearch_type": "basic"}),
+          pytest.raises(NotConverged, match="limit of steps") as caught):  # fmt: skip
+        solve(ball, method=method, eps=1e-8, start="cold")
     assert caught.value.iterations == 3
     assert caught.value.exit_status == 3
 
