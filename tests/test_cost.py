@@ -17,8 +17,8 @@ from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
 from tests.conftest import CLEAN, COMM, DEMOS, membrane
-from tests.test_cli import inside
-from tests.test_rows import kill
+from tests.helpers import inside
+from tests.processes import end
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
 
@@ -192,7 +192,7 @@ def test_killed_and_page(tmp_path):
     rows = out / "rows.jsonl"
     while (not rows.exists() or rows.read_bytes().count(b"\n") < 5) and process.poll() is None:
         time.sleep(0.01)
-    kill(process)
+    end(process)
     kept = [
         json.loads(text)["key"] for text in rows.read_bytes().decode().splitlines(keepends=True) if text[-1] == "\n"
     ]

@@ -1,14 +1,14 @@
-"""Rows that survive: whatever kills a study, no row is lost or doubled, and the end is the same table."""
+"""Rows that survive kills and full disks: no row is lost or doubled, the end is the same table, old files are kept."""
 
-import contextlib
-import csv
 import json
 import os
-import random
+import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,81 +16,27 @@ import pytest
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
-from fenicsx_obstacle.launcher import mpirun
+from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.rows import RowStore, row_key
+from tests.cli.faults import disk
+from tests.cli.faults.kill import interrupts, kills
 from tests.conftest import CLEAN, DEMOS
-from tests.test_cli import inside, run
+from tests.helpers import LAUNCHER, inside, run
 
 pytestmark = pytest.mark.serial
 
 STUDY = ["study", str(DEMOS / "string.toml"), "--vary", "cells=4,6,8,10,12,14,16", "--method", "vi"]
-LONG = [
-    "study",
-    str(DEMOS / "disk.toml"),
-    "--vary",
-    "cells=8..256",
-    "--method",
-    "vi",
-    "--start",
-    "cold",
-]  # it has not ended when Ctrl-C comes
-TIMES = ("seconds", "poisson", "memory", "run", "command", "krylov")  # what may differ between two runs
-
-
-def figures(folder):
-    """The final table without times, each number to 9 digits."""
-    with (folder / "rows.csv").open() as file:
-        rows = [{k: v for k, v in row.items() if not k.startswith(TIMES)} for row in csv.DictReader(file)]
-    return [{k: _rounded(v) for k, v in row.items()} for row in rows]
-
-
-def _rounded(text):
-    try:
-        return f"{float(text):.8e}"
-    except ValueError:
-        return text
-
-
-def start(folder, ranks):
-    command = [sys.executable, "-m", "fenicsx_obstacle", *STUDY, "--output", str(folder)]
-    command = command if ranks == 1 else [*mpirun(ranks), *command]
-    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(command, env=CLEAN, start_new_session=True, **silent)
-
-
-def kill(process):
-    """kill -9 of mpirun and all ranks: everything in the session that `start` began."""
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):  # gone meanwhile
-            pid, session = int(stat.parent.name), int(stat.read_text().rpartition(")")[2].split()[3])
-            if session == process.pid:
-                os.kill(pid, signal.SIGKILL)
-    process.wait()
+# it has not ended when Ctrl-C comes
+LONG = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=8..256", "--method", "vi", "--start", "cold"]
 
 
 @pytest.mark.parametrize("ranks", [1, 3])
 @pytest.mark.slow
 def test_killed_at_random_moments(ranks, tmp_path):
     """No lost or doubled row, same final table."""
-    whole = tmp_path / "whole"
-    begun = time.monotonic()
-    assert start(whole, ranks).wait(timeout=120) == 0
-    length = time.monotonic() - begun
-    moments, killed = random.Random(ranks), tmp_path / "killed"
-    seen = 0
-    for _ in range(3 if ranks == 1 else 1):
-        process = start(killed, ranks)
-        time.sleep(moments.uniform(0.3, 1.0) * length)
-        kill(process)
-        lines = (killed / "rows.jsonl").read_bytes() if (killed / "rows.jsonl").exists() else b""
-        assert lines.count(b"\n") >= seen  # what was finished stays
-        seen = lines.count(b"\n")
-    assert start(killed, ranks).wait(timeout=120) == 0
-    assert figures(killed) == figures(whole)
-    keys = [json.loads(line)["key"] for line in (killed / "rows.jsonl").read_text().splitlines()]
-    assert len(keys) == len(set(keys)) == 7
-    assert (killed / "last" / "answer.json").exists()
+    faults = [fault.wrong for fault in kills(tmp_path, CLEAN, {ranks: 3 if ranks == 1 else 1}, ["all"])]
+    assert len(faults) > 2 and not any(faults), faults
 
 
 @pytest.mark.slow
@@ -139,7 +85,6 @@ def test_key_depends_on_everything_that_matters(tmp_path):
     assert row_key(scene, "h", 1) != before
 
 
-LAUNCHER = DEMOS.parent / "obstacle"
 SET_UP = (LAUNCHER.parent / ".venv" / "complete").exists()
 
 
@@ -323,3 +268,49 @@ def test_rows_are_written_into_no_other_file(name, tmp_path):
     os.mkfifo(tmp_path / "out" / name)
     with pytest.raises(InputError, match="is no file"):
         RowStore(tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_files_that_may_not_grow(tmp_path):
+    """A solve over an earlier answer: one message, and nothing has changed."""
+    command = disk.COMMANDS["solve"]
+    assert disk._run(1, [*command[:2], "--cells", "8"], tmp_path / "before", CLEAN).returncode == 0
+    for size in (100, 4000):
+        folder = tmp_path / str(size)
+        shutil.copytree(tmp_path / "before", folder)
+        limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
+        assert disk._refused("solve", 1, command, folder, {**CLEAN, **disk.ALONE}, disk.FULL, limit).wrong == ""
+
+
+def test_devices_are_written_as_they_are(tmp_path):
+    """--json /dev/null must not put a file in its place; a full one is named."""
+    link = tmp_path / "null"
+    os.mkfifo(link)
+    reader = os.open(link, os.O_RDONLY | os.O_NONBLOCK)
+    write_text(link, "figures")
+    assert os.read(reader, 100) == b"figures"
+    os.close(reader)
+    assert link.is_fifo()
+    with pytest.raises(InputError, match="/dev/full: cannot be written: No space left on device"):
+        write_text(Path("/dev/full"), "figures")
+    assert not Path("/dev/full").is_file()
+
+
+def test_a_file_that_cannot_be_written_leaves_the_earlier_one(tmp_path):
+    """Neither half a file nor a scratch file beside it."""
+    (tmp_path / "a").write_text("before")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, limits[1]))
+    try:
+        with pytest.raises(InputError, match="File too large"):
+            write_text(tmp_path / "a", "after" * 1000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (tmp_path / "a").read_text() == "before"
+    assert os.listdir(tmp_path) == ["a"]
+
+
+@pytest.mark.slow
+def test_interrupts(tmp_path):
+    """Ctrl-C on one rank and on two: one line at most, and no process is left."""
+    assert [fault.wrong for fault in interrupts(tmp_path, CLEAN, 1)] == ["", ""]

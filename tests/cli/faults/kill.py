@@ -9,7 +9,7 @@ import random
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from tests.processes import end, launch
 STUDY = ("-m", "fenicsx_obstacle", "study", "disk_flat", "--vary", "cells=4,6,8,10,12,14,16,18", "--method", "vi")
 ROWS = 8
 TIMES = ("seconds", "poisson", "memory", "run", "command", "krylov")  # what may differ between two runs
-PATIENCE = 60.0  # seconds for what lasts a few
+PATIENCE = 120.0  # seconds for what lasts a few
 KEPT = "interrupted; finished rows are kept, and the same command continues from them"
 
 
@@ -37,13 +37,17 @@ class Fault:
     seconds: float
 
 
-def kills(root: Path, environment: Mapping[str, str], rounds: Mapping[int, int]) -> Iterator[Fault]:
+def kills(
+    root: Path, environment: Mapping[str, str], rounds: Mapping[int, int],
+    ways: Sequence[str] = ("all", "SIGTERM", "one rank"),
+) -> Iterator[Fault]:  # fmt: skip
     """Studies that are ended at random moments, and go on.
 
     Args:
         root: An empty folder.
         environment: Of the processes.
         rounds: How often to end them whole and by one rank, for each number of ranks.
+        ways: In which they are ended: all processes, the launcher, on several ranks one of them.
     """
     for ranks, count in rounds.items():
         whole, start = root / f"whole-{ranks}", time.perf_counter()
@@ -53,7 +57,7 @@ def kills(root: Path, environment: Mapping[str, str], rounds: Mapping[int, int])
         if wrong:
             continue
         moments = random.Random(ranks)
-        for how in ("all", "SIGTERM", *(["one rank"] if ranks > 1 else [])):
+        for how in (way for way in ways if ranks > 1 or way != "one rank"):
             folder, seen = root / f"{how}-{ranks}", 0
             for number in range(count if how == "all" else max(count // 2, 1)):
                 start = time.perf_counter()
