@@ -712,6 +712,30 @@ def test_an_effect_is_one_file(key, tmp_path):
         del _register[key]
 
 
+def test_what_others_ask_is_the_role():
+    """A term like `foundation` under another name: with its role it holds u, and the error bound knows it."""
+
+    class Bed(Effect):
+        key = "bed"
+
+        def terms(self, u, v, data):
+            return data.cellwise(self.value, least=0.0) * u * v * data.dI
+
+        def energy(self, u, data):
+            return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI
+
+    scene = {"load": "x - 1", "boundary": []}
+    known = solve(membrane(**scene, foundation=2), bound=True).record["bound"]
+    try:
+        register(Bed)
+        with pytest.raises(InputError, match="u is given nowhere"):
+            solve(membrane(**scene, bed=2))
+        Bed.role = "reaction"
+        assert solve(membrane(**scene, bed=2), bound=True).record["bound"] == known
+    finally:
+        del _register["bed"]
+
+
 def test_the_members_of_an_effect():
     """Few, and all of them on the page for those who write one."""
     members = [name for name in dir(Effect) if not name.startswith("_")]
