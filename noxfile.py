@@ -15,7 +15,7 @@ ROOT = Path(__file__).parent
 LAUNCHER = str(ROOT / "obstacle")
 BIN = ROOT / ".venv" / "bin"
 ON_ALL_CORES = ("-n", "auto", "--maxprocesses", "8", "--dist", "worksteal")
-NOT_SLOW = ("-m", "not slow")
+NOT_SLOW = ("-m", "not slow", "--few")
 SUITES = {
     "scenes": ("hard",), "broken": ("hard", "--broken"), "faults": ("hard", "--faults"),
     "random": ("hard", "--random", "1000"), "theory": ("theory",),
@@ -41,14 +41,15 @@ def check(session: nox.Session) -> None:
 
 @nox.session
 def quick(session: nox.Session) -> None:
-    """Lint, and the quick tests on one rank."""
+    """Lint, and the quick tests on one rank, of many cases the first and the last."""
     check(session)
     session.run(LAUNCHER, "--ranks", "1", "pytest", *NOT_SLOW, *ON_ALL_CORES, *session.posargs, external=True)
 
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Lint, then the quick tests, or with --all every test: on 1 rank, two thirds of the files on 2, the others on 3.
+    """Lint, then the quick tests, of many cases the first and the last, or with --all every test: on 1 rank, two thirds of
+    the files on 2, the others on 3.
 
     Arguments: [--ranks N] [--all] [ARGUMENTS OF PYTEST...]. Tests that are named by file or id run on all ranks.
     """

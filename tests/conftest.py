@@ -61,6 +61,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--few", action="store_true", help="Of a test with many cases the first and the last.")
     parser.addoption(
         "--by-file", action="store_true",
         help="The tests of those files whose name belongs to this number of ranks, of many cases the first and last.",
@@ -82,9 +83,11 @@ def first_and_last(items: list[pytest.Item]) -> set[pytest.Item]:
 
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("--by-file"):
+    by_file = config.getoption("--by-file")
+    if by_file or config.getoption("--few"):
         kept = first_and_last([
-            item for item in items if ranks_of(item.path) == COMM.size and "variant" not in item.keywords
+            item for item in items
+            if not by_file or (ranks_of(item.path) == COMM.size and "variant" not in item.keywords)
         ])  # fmt: skip
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = [item for item in items if item in kept]

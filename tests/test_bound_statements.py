@@ -218,7 +218,7 @@ class State:
         values = self.found.simplices.values(self._field, where, cells)
         if self.element == "P2":
             values = values - self._nodes[cells] @ quadratics(where)
-        return values.reshape(len(cells), 64, -1) - self._linear[cells] @ places.T
+        return values.reshape(len(cells), 64, len(places)) - self._linear[cells] @ places.T
 
     def covered(self, cells):
         """Whether v_h need not be above the obstacle in each part of cells, shape (cells, 64)."""
