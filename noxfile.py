@@ -48,8 +48,9 @@ def quick(session: nox.Session) -> None:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Lint, then the quick tests, of many cases the first and the last, or with --all every test: on 1 rank, two thirds of
-    the files on 2, the others on 3.
+    """Lint, then the quick tests, of many cases the first and the last, or with --all every test.
+
+    They run on 1 rank, then two thirds of the files on 2 ranks, and the others on 3.
 
     Arguments: [--ranks N] [--all] [ARGUMENTS OF PYTEST...]. Tests that are named by file or id run on all ranks.
     """
