@@ -19,8 +19,8 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding, violated
-from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
+from tests.hard.invariants import Finding
+from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 
 SOLVED = 1e-8  # relative: how far solves are from the discrete solution
 UNIT = "unit"  # name under [define] of the factor of all stiffnesses and loads, 1 in MPa
@@ -124,11 +124,9 @@ def _verdict(
     scene: Scene, method: str, eps: float | str | None, start: float, one: _Solved, findings: Sequence[Finding],
     refuse: str, *, off: float | None = None, trial: str = "",
 ) -> Row:  # fmt: skip
-    wrong = violated(findings)
-    message = f"should be rejected: {refuse}" if refuse else "; ".join(map(str, wrong))
     digits: dict[str, Any] = {"off": off, "from_heights": None, "line": None, "left": None}
     record = {**one.answer.record, "monotone": None, "digits": digits}
-    return row_of(scene, method, eps, FAILED if message else RIGHT, start, record, findings, message, trial)
+    return judged_row(scene, method, eps, start, record, findings, trial, refuse)
 
 
 def _of_one(one: _Solved) -> list[Finding]:

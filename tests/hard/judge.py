@@ -19,8 +19,8 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding, beside_inequality, falling, of_one, same, violated
-from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
+from tests.hard.invariants import Finding, beside_inequality, falling, of_one, same
+from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 from tests.hard.solved import EPSILON, ReferenceProblem, Solved
 from tests.hard.units import Units, all_units
 
@@ -192,11 +192,8 @@ class _Verifier:
         self, method: str, eps: float | str | None, start: float, findings: Sequence[Finding], record: dict[str, Any],
         trial: str = "",
     ) -> Row:  # fmt: skip
-        wrong = violated(findings)
-        message = f"should be rejected: {self.refuse}" if self.refuse else "; ".join(map(str, wrong))
-        verdict = FAILED if message else RIGHT
         record = {**record, "monotone": self.ground.monotone}
-        return row_of(self.scene, method, eps, verdict, start, record, findings, message, trial)
+        return judged_row(self.scene, method, eps, start, record, findings, trial, self.refuse)
 
 
 def take(context: SolverContext, ground: ReferenceProblem, eps: float | None) -> Solved:

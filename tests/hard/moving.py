@@ -19,8 +19,8 @@ from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding, of_one, violated
-from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT, Row, asked, row_of
+from tests.hard.invariants import Finding, of_one
+from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 from tests.hard.solved import ReferenceProblem, Solved
 
 
@@ -50,9 +50,7 @@ def judge_moving(
                 if eps is None:
                     known = answer, solved
                 record = {**answer.record, "monotone": ground.monotone}
-            wrong = violated(findings)
-            verdict, words = FAILED if wrong else RIGHT, "; ".join(map(str, wrong))
-            yield row_of(scene, method, eps, verdict, start, record, findings, words)
+            yield judged_row(scene, method, eps, start, record, findings)
 
 
 def _energies(answer: Answer) -> list[Finding]:

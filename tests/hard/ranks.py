@@ -1,23 +1,20 @@
-"""The same scene on several ranks: `mpirun -n N python -m tests.hard.ranks NAME FILE`.
+"""The same scene on several ranks: fields, and what their differences may be.
 
 Nodes are numbered differently on other ranks: fields are compared in the order of their places.
 """
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.parallel import abort_on_uncaught_errors, gathered
+from fenicsx_obstacle.parallel import gathered
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard import bodies
-from tests.hard.cases import case
 from tests.hard.invariants import Finding, energy_round_off
 from tests.hard.judge import METHODS, TRIAL, take
 from tests.hard.solved import ReferenceProblem
@@ -88,20 +85,3 @@ def agree_on(one: Fields, other: Fields, method: str) -> list[Finding]:
         Finding("ranks: the same energy", "unique", float(abs(energies[0][0] - energies[1][0])),
                 float(energies[0][1] + energies[1][1])),
     ]  # fmt: skip
-
-
-def write(scene: Scene, file: Path, comm: MPI.Comm) -> None:
-    """Fields of a scene into a file (collective)."""
-    found = fields_of(scene, comm)
-    if comm.rank == 0:
-        np.savez(file, **found)
-
-
-def main() -> None:
-    """Write the fields of the coarse mesh of the case named on the command line."""
-    abort_on_uncaught_errors(MPI.COMM_WORLD)
-    write(case(sys.argv[1]).on(0), Path(sys.argv[2]), MPI.COMM_WORLD)
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,7 @@ from typing import Any
 
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding
+from tests.hard.invariants import Finding, violated
 
 RIGHT, REJECTED, FAILED = "right", "rejected", "FAILED"
 FLOOR = "limit of round-off"  # words of the refusal
@@ -18,6 +18,15 @@ Row = dict[str, Any]
 def asked(scene: Scene, method: str, eps: float | str | None) -> SolverOptions:
     """The options that a row asks for; None is for no eps, a text for a formula in h."""
     return scene.options_with(method=method, **({} if eps is None else {"eps": eps}))
+
+
+def judged_row(
+    scene: Scene, method: str, eps: float | str | None, start: float, record: Any, findings: Sequence[Finding],
+    trial: str = "", refuse: str = "",
+) -> Row:  # fmt: skip
+    """The row of an answer: FAILED where a finding is violated, or the scene should have been refused."""
+    message = f"should be rejected: {refuse}" if refuse else "; ".join(map(str, violated(findings)))
+    return row_of(scene, method, eps, FAILED if message else RIGHT, start, record, findings, message, trial)
 
 
 def row_of(

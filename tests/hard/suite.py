@@ -58,7 +58,7 @@ def rows_of(one: Case) -> list[Row]:
 def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
     for ranks in RANKS:
         began, file = time.perf_counter(), folder / f"{ranks}.npz"
-        _, trouble = _process(launch_module(ranks, "tests.hard.ranks", one.name, str(file)))
+        _, trouble = _process(launch_module(ranks, "tests.hard.run_case", one.name, str(file)))
         if trouble:
             yield _lost(one, f"on {ranks} ranks {trouble}")
             continue

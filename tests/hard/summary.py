@@ -30,7 +30,6 @@ class Summary:
         moved: Largest relative change of the contact force between the meshes, by SNES VI; None without force.
         off: Largest |p_eps - p_h| over max|p_h| at eps = 1e-14.
         plain: The same of the pressure computed from the stored u.
-        units: Largest change of the number of steps in other units.
         seconds: Of all processes.
     """
 
@@ -44,7 +43,6 @@ class Summary:
     moved: float | None
     off: float | None
     plain: float | None
-    units: int | None
     seconds: float
 
 
@@ -55,7 +53,6 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
     small = [row["digits"] for row in solved if row["asked"] == EPS[-2] and row.get("digits")]
     ratios = {name: _ratios(solved, name) for name in ("penetration", "penalty and inequality: energy norm")}
     work = _most(ratios["penalty and inequality: energy norm"])
-    steps = [_limits(row, "other units: steps")[0] for row in rows if "units: steps" in str(row["findings"])]
     return Summary(
         case=case,
         verdicts=Counter(row["verdict"] for row in rows),
@@ -68,7 +65,6 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
         moved=_moved(case, solved),
         off=_most(digits["off"] for digits in small),
         plain=_most(digits["from_heights"] for digits in small),
-        units=None if not steps else int(max(steps)),
         seconds=sum(row.get("seconds", 0.0) for row in rows),
     )  # fmt: skip
 
