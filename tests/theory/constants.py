@@ -13,7 +13,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.discrete.assembly import weights_of_cells
 from fenicsx_obstacle.forms.pairs import Pair
-from tests.theory import singular_values
+from tests.theory.singular_values import ratios, smallest, spectrum
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0
 ZERO = 1e-10  # singular values below, relative to the largest, belong to the kernel
@@ -22,7 +22,7 @@ ZERO = 1e-10  # singular values below, relative to the largest, belong to the ke
 class Stability:
     """The constants of one pair on one mesh; all methods are collective, all figures the same on every rank.
 
-    ||v||_1 is the full H1 norm, v = 0 on the boundary. `dense` chooses LAPACK or SLEPc; None leaves it to the size.
+    ||v||_1 is the full H1 norm, v = 0 on the boundary.
 
     Attributes:
         V: V_h, boundary values included.
@@ -42,22 +42,21 @@ class Stability:
         self._free, self._inside = _interior(self.V), _interior(self.Q)
         self._q = ufl.TestFunction(self.Q)
 
-    def alpha(self, dense: bool | None = None) -> float:
+    def alpha(self) -> float:
         """alpha_h of (3.18), sup_v I(q, v)/||v||_1 >= alpha_h ||q||_0, for q that vanish at nodes on the boundary.
 
         Unit: length, or dimensionless on a domain of size 1.
         """
-        return singular_values.smallest(self._seen(self._I), self._H, self._norm, dense)
+        return smallest(self._seen(self._I), self._H, self._norm)
 
-    def alpha_hat(self, dense: bool | None = None) -> float:
+    def alpha_hat(self) -> float:
         """The same with (q, v) in place of I(q, v), as (4.7) has it."""
-        return singular_values.smallest(self._seen(self._duality), self._H, self._norm, dense)
+        return smallest(self._seen(self._duality), self._H, self._norm)
 
-    def beta(self, dense: bool | None = None, *, rich: bool = False) -> float:
+    def beta(self, *, rich: bool = False) -> float:
         """The constant of the dual norm, sup_v I(q, v)/||v||_1 >= beta_h ||q||_1*, for the same q; dimensionless.
 
         Args:
-            dense: LAPACK or SLEPc.
             rich: ||q||_1* = sup (q, w)/||w||_1 with w from a space `RICHER` degrees above V_h, for H^1_0 itself;
                 otherwise from V_h.
         """
@@ -66,18 +65,18 @@ class Stability:
             W = releases.functionspace(self.mesh, "Lagrange", self.pair.degree + RICHER)
             free = _interior(W)
             dual = (self._seen(_part(_matrix(self._q * ufl.TrialFunction(W) * ufl.dx), None, free)), _gram(W, free))
-        return singular_values.smallest(self._seen(self._I), self._H, dual, dense)
+        return smallest(self._seen(self._I), self._H, dual)
 
-    def equivalence(self, dense: bool | None = None) -> tuple[float, float]:
+    def equivalence(self) -> tuple[float, float]:
         """Range of I(q, q)/||q||_0^2 over all of Q_h, (3.21) and (3.28)."""
-        return singular_values.ratios(self._lumped, self._M, dense)
+        return ratios(self._lumped, self._M)
 
     def spectrum(self) -> np.ndarray:
-        """Singular values of I between V_h and all of Q_h, ascending, one for each pressure, by LAPACK.
+        """Singular values of I between V_h and all of Q_h, ascending, one for each pressure.
 
         The first is alpha_h of (3.18) to the letter, for all of Q_h.
         """
-        return singular_values.spectrum(self._I, self._H, self._M)
+        return spectrum(self._I, self._H, self._M)
 
     def kernel(self) -> tuple[int, float]:
         """Dimension of {q in Q_h: I(q, v) = 0 for all v}, and the smallest singular value that is not zero."""
