@@ -1,14 +1,21 @@
-"""Theorems 3.3, 4.1-4.3 and 5.1: the orders and constants of their statements, on meshes small enough for tests."""
+"""Kikuchi's theorems: the orders, constants and signs of their statements, on meshes small enough for tests."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.cli import commands
-from tests.conftest import COMM, slow_except
+from fenicsx_obstacle.parallel import largest
+from tests.conftest import COMM, membrane, slow_except
 from tests.theory import in_eps, in_h, show, totals
+from tests.theory.digits import EPS, GAP, PLAIN, RESIDUAL, digits
+from tests.theory.limits import approach, extremes
 from tests.theory.mesh_sequences import JUMP, VI, MeshSequence, errors, gap
+from tests.theory.monotone import Line, hat, penalties, ramp
+from tests.theory.samples import sample
 from tests.theory.show import conclusion, split, table
 from tests.theory.statement import Finding, Found, Statement, find
 
@@ -144,3 +151,90 @@ def test_totals_with_eps_of_order_h_squared():
     """(5.9): order 1 in H1 for u, more in L2 and, for p, in the dual norm; order 1/2 for a jump of p in L2."""
     seen = errors(replace(totals.SEQUENCE, cells=(32, 64, 128)), ["h^2"], COMM, dual=True)
     assert all_hold(in_h.claims(totals.WHERE, seen, "h^2", 1, {"h1": 1, "l2": 2, "dual": 3 / 2, "pressure_l2": 1 / 2}))
+
+
+def test_ends_of_the_hypotheses():
+    """f = 0; g out of reach; contact everywhere; K_h empty."""
+    assert [finding.verdict for finding in extremes(COMM)] == ["holds"] * 4 + ["needs hypothesis"]
+
+
+@pytest.mark.parametrize("name", ["disk", "ball"])
+def test_limit(name):
+    """u_eps -> u_h and p_eps -> p_h, with order 1 in the end; the nodal bound is sharp."""
+    seen = approach(sample(name, 16), COMM, (1e-1, 1e-3, 1e-5, 1e-7, 1e-9))
+    assert np.all(np.diff(seen.energy) < 0) and np.all(np.diff(seen.pressure) < 0)
+    for falling in (seen.energy, seen.highest, seen.pressure):
+        assert falling[-1] / falling[-2] == pytest.approx(1e-2, rel=1e-2)
+    assert seen.above[-1] == pytest.approx(1, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {
+            "mesh": {"shape": "rectangle", "diagonal": "union-jack", "cells": 16},
+            "lower": "0.1 - (x - 0.4)^2 - (y - 0.5)^2",
+        },
+        {"mesh": {"shape": "box", "cells": 8}, "load": 10, "upper": 0.2},
+        {"tension": "where(x < 0.5, 1, 10)", "load": "100*x", "upper": "0.5 + x*y"},
+    ],
+    ids=["curved, from below", "box", "two tensions"],
+)
+def test_bounds(data):
+    """M-matrix: 0 <= e = u_eps - u_h <= eps max|p_eps|; on any mesh |p_eps|_I <= |p_h|_I, a(e,e) <= eps/4 |p_h|_I^2."""
+    scene = membrane(**{"boundary": [{"value": 0}], **data})
+    seen = approach(scene, COMM, (1e-1, 1e-3, 1e-6, 1e-9))
+    assert min(seen.lowest) >= -1e-12
+    assert max(seen.above) <= 1 + 1e-6
+    assert max(seen.below) <= 1 + 1e-6
+    assert max(seen.rise) <= 1e-12
+    assert max(seen.size) <= 1 + 1e-9
+    assert max(seen.work) <= 1
+    assert np.all(np.diff(seen.energy) < 0) and np.all(np.diff(seen.pressure) < 0)
+    assert seen.above[-1] > 0.9
+
+
+def test_no_force_at_all():
+    """f = 0 below g > 0: u = 0 and p = 0 at any eps, and for the inequality itself."""
+    for change in ({"solve.eps": 1e-14}, {"solve.method": "successive"}, {"solve.method": "vi"}):
+        answer = SolverContext(membrane(load=0, upper=0.1, boundary=[{"value": 0}]).change(change)).answer()
+        assert largest(COMM, np.abs(answer.u.x.array)) < 1e-16  # the round-off of g
+        assert largest(COMM, np.abs(answer.pressure.x.array)) == 0
+
+
+@pytest.mark.slow
+def test_monotone_penalties():
+    """J((u - g)^+) is not monotone nor J(I - P_K); that one, and the penalty in L2, are monotone."""
+    found = penalties(COMM)
+    verdicts = [finding.verdict for finding in found.findings]
+    assert verdicts == ["needs hypothesis"] * 3 + ["holds"] * 3
+
+
+def test_counterexample_by_hand():
+    """With v <= 0 and a ramp of 1 on the hat it is (u, ramp) - 9 (u, u) in H1: 0.005 - 9 (0.05 + 1/6000)."""
+    line = Line(COMM)
+    u, v = line.function(hat), line.function(lambda x: 10 * hat(x) - ramp(x))
+    value = line.product("H1", line.positive(u), line.combined(1, u, -1, v))
+    assert value == pytest.approx(-0.4465, rel=1e-10)
+
+
+def test_projection_stays_in_the_set_and_is_a_projection():
+    """P_K u <= 0, P_K P_K u = P_K u, and u - P_K u is orthogonal to P_K u in H1, K being a cone."""
+    line = Line(COMM)
+    u = line.random_pairs()[0][0]
+    inside = line.projected(u)
+    assert largest(COMM, inside.x.array) <= 1e-12
+    again = line.combined(1, line.projected(inside), -1, inside)
+    assert line.product("H1", again, again) < 1e-18
+    size = line.product("H1", u, u)
+    assert abs(line.product("H1", line.combined(1, u, -1, inside), inside)) < 1e-9 * size
+
+
+def test_digits():
+    """Down to 1e-14 and beyond, p_eps - p_h falls like eps; stored as u, 3 digits are left at 1e-14."""
+    found = digits(COMM)
+    assert all(finding.verdict != "FAILS" for finding in found.findings)
+    errors = {curve.label: dict(zip(EPS, curve.y, strict=True)) for curve in found.panels[0].curves}
+    for form in (GAP, RESIDUAL):
+        assert 0.99e-7 < errors[form][EPS[10]] / errors[form][EPS[3]] < 1.01e-7
+    assert errors[PLAIN][EPS[10]] > 1e6 * errors[GAP][EPS[10]]
