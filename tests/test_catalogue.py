@@ -14,7 +14,7 @@ from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
-from tests.test_cli import inside, run
+from tests.helpers import inside, run
 from tests.theory.statement import RATE_MARGIN, slope
 
 STEP = 3e-4  # of differences

@@ -1,44 +1,23 @@
 """The command line as users meet it: in processes of its own, on 1, 2 and 3 ranks."""
 
-import io
 import json
 import os
 import subprocess
 import sys
 import time
-from contextlib import chdir, redirect_stderr, redirect_stdout
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import InputError, __main__, releases
+from fenicsx_obstacle import InputError, releases
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.launcher import mpirun
-from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, DEMOS, slow_except
+from tests.helpers import inside, run, run_python
 
 pytestmark = pytest.mark.serial
-
-
-def run(*arguments, ranks=1, cwd=None, env=None):
-    command = [sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
-    if ranks > 1:
-        command = [*mpirun(ranks), *command]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env or CLEAN, timeout=250, check=False)
-
-
-def inside(*arguments, cwd=None):
-    """What `run` returns, of a command in this process, which draws by matplotlib: others take seconds to begin."""
-    out, err = io.StringIO(), io.StringIO()
-    words = [str(word) for word in arguments]
-    with pytest.MonkeyPatch.context() as patched, chdir(cwd or Path.cwd()), redirect_stdout(out), redirect_stderr(err):
-        patched.setattr(sys, "argv", ["fenicsx-obstacle", *words])
-        patched.setattr(__main__, "_begin", lambda petsc: None)  # which changes how this process takes signals
-        patched.setattr(render, "find_spec", lambda name: None)
-        status = __main__._run(words, [])
-    return subprocess.CompletedProcess(words, status, out.getvalue(), err.getvalue())
 
 
 FIGURES = ["energy", "penetration", "dofs", "cells_total"]
@@ -125,8 +104,7 @@ def test_a_failing_rank_ends_all():
         "MPI.COMM_WORLD.barrier()"
     )
     start = time.monotonic()
-    command = [*mpirun(2), sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=60, check=False)
+    done = run_python(code, ranks=2, timeout=60)
     assert done.returncode != 0
     assert "on one rank" in done.stderr
     assert time.monotonic() - start < 30
@@ -220,8 +198,7 @@ def test_60_lines_become_3():
     by_hand, own, scene = (block.partition("```")[0] for block in page.split("```python\n")[1:])
     printed = []
     for code in (by_hand + own, scene):
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, cwd=DEMOS.parent,
-                              timeout=120, check=False)  # fmt: skip
+        done = run_python(code)
         assert done.returncode == 0, done.stderr
         printed += done.stdout.splitlines()
     assert printed == ["force on the ball 4.2724"] * 3

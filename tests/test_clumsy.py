@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
-from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
+from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.console import tolerance_status
 from fenicsx_obstacle.errors import NOT_REACHED
 from fenicsx_obstacle.parallel import on_root, write_text
@@ -23,8 +23,8 @@ from fenicsx_obstacle.text import one_line
 from tests.cli.faults.kill import _session
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.suite import reason
+from tests.helpers import LAUNCHER
 
-LAUNCHER = DEMOS.parent / "obstacle"
 HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}
 
 
@@ -99,18 +99,13 @@ def test_headings():
 
 def test_errors_name_the_method_that_was_asked_for():
     """Whatever a method begins with or is made of, its failure is its own."""
-    options = PETSc.Options()
+    none = {"snes_max_it": 0}
     for method, element, says in [("vi", "P1", "vi did"), ("successive", "P1", "successive did"),
                                   ("penalty", "P1", "penalty did"), ("vi", "Q1-gauss", "vi did")]:  # fmt: skip
         mesh = {"shape": "rectangle", "cells": 4, "cell": "quadrilateral" if element == "Q1-gauss" else None}
         scene = membrane(mesh={key: value for key, value in mesh.items() if value}, load=-9, lower=-0.05)
-        options["penalty_snes_max_it"] = options["vi_snes_max_it"] = 0
-        try:
-            with pytest.raises(NotConverged, match=says) as error:
-                solve(scene, method=method, element=element, start="cold")
-        finally:
-            for key in ("penalty_snes_max_it", "vi_snes_max_it"):
-                options.delValue(key)
+        with defaults("penalty_", none), defaults("vi_", none), pytest.raises(NotConverged, match=says) as error:
+            solve(scene, method=method, element=element, start="cold")
         assert error.value.solver == method
         assert f"--method {method}" not in str(error.value)
 
@@ -131,13 +126,8 @@ def test_data_that_contradict_later_say_when(folder):
 
 def test_the_first_moment_is_named():
     """A sequence of equilibria whose first one is not found says t = 0."""
-    options = PETSc.Options()
-    options["penalty_snes_max_it"] = 0
-    try:
-        with pytest.raises(NotConverged, match=r"at t = 0"):
-            solve(Scene(**{**MOVING, "load": 20, "upper": 0.1}, time={"end": 1, "steps": 4}), start="cold")
-    finally:
-        options.delValue("penalty_snes_max_it")
+    with defaults("penalty_", {"snes_max_it": 0}), pytest.raises(NotConverged, match=r"at t = 0"):
+        solve(Scene(**{**MOVING, "load": 20, "upper": 0.1}, time={"end": 1, "steps": 4}), start="cold")
 
 
 INCOMPLETE = '[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\nload = "2*q"\n'

@@ -10,7 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, find, solve, study
-from tests.test_cli import inside
+from tests.helpers import inside
 
 COMM = MPI.COMM_WORLD
 BEARING = {  # the journal bearing, cut open along its groove and unrolled

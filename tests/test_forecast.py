@@ -15,8 +15,8 @@ from fenicsx_obstacle.show.forecast import _words, forecast_text
 from fenicsx_obstacle.studies import forecast as module
 from fenicsx_obstacle.studies.forecast import BEYOND, closest, continued, forecast
 from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.helpers import run as command
 from tests.random.families.solid_meshes import octants, tetrahedra
-from tests.test_cli import run as command
 
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"
 CEILING = {"tension": 1, "load": 1, "upper": 0.12, "boundary": [{"value": 0}], "report": {"volume": "integral(u)"}}

@@ -1,13 +1,11 @@
 """What a command or a scene does not ask for is not imported: pictures, meshing, time, reports, effects, suites."""
 
-import subprocess
-import sys
 from importlib.util import find_spec
 
 import pytest
 
-from tests.conftest import CLEAN
 from tests.hard.cases import case
+from tests.helpers import run_python
 
 pytestmark = pytest.mark.serial
 
@@ -43,8 +41,7 @@ for line in sys.stdin:
 
 def modules_after(*commands, folder):
     """All modules that a process has imported after each of these commands of the command line."""
-    done = subprocess.run([sys.executable, "-c", COMMANDS], input="\n".join(commands), capture_output=True, text=True,
-                          env=CLEAN, cwd=folder, timeout=100, check=False)  # fmt: skip
+    done = run_python(COMMANDS, input="\n".join(commands), cwd=folder)
     assert done.returncode == 0, done.stderr
     return [set(line.split()) for line in done.stderr.splitlines()]
 
@@ -118,5 +115,5 @@ def test_the_library_loads_no_suites():
         "assert 'fenicsx_obstacle.problems.solution' in sys.modules\n"
         "assert not {'tests', 'matplotlib', 'jinja2'} & set(sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=CLEAN, check=False)
+    done = run_python(code)
     assert done.returncode == 0, done.stderr

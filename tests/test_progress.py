@@ -13,7 +13,7 @@ import pytest
 
 from fenicsx_obstacle.launcher import mpirun
 from tests.conftest import CLEAN, DEMOS, slow_except
-from tests.test_cli import run
+from tests.helpers import run
 
 pytestmark = pytest.mark.serial
 STUDY = ["study", str(DEMOS / "string.toml"), "--cells", "8", "--vary", "eps=1e-1,1e-3", "--output"]

@@ -19,7 +19,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import agree, on_root, warn
 from tests.conftest import DEMOS
-from tests.test_cli import run
+from tests.helpers import run
 
 pytestmark = pytest.mark.ranks
 COMM = MPI.COMM_WORLD
@@ -252,15 +252,12 @@ def test_refined_submeshes_of_several_parts(ghosts: Any) -> None:
 
 def test_a_warning_that_is_an_error_is_one_on_all_ranks() -> None:
     """Rank 0 alone warns; with `-W error` it would leave alone."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         warn(COMM, "words", stacklevel=1)
     assert [str(one.message) for one in caught] == ["words"] * (COMM.rank == 0)
     assert all(one.filename == __file__ for one in caught)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with pytest.raises(UserWarning, match="words"):
-            warn(COMM, "words")
+    with warnings.catch_warnings(action="error"), pytest.raises(UserWarning, match="words"):
+        warn(COMM, "words")
 
 
 def test_discontinuous_data_on_grid_lines() -> None:

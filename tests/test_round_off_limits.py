@@ -1,8 +1,5 @@
 """Limits of `hard` follow from the data and the operations: they hold for each arithmetic, and see what is wrong."""
 
-import os
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -11,8 +8,10 @@ import pytest
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from tests.conftest import CLEAN
 from tests.hard.cases import case
 from tests.hard.judge import judge
+from tests.helpers import run_python
 
 JUDGED = """
 from tests.hard.cases import case
@@ -38,9 +37,8 @@ def test_kinds_of_arithmetic(kind, needs):
     known = Path("/proc/cpuinfo")
     if not known.exists() or needs not in known.read_text().split():
         pytest.skip(f"this processor has no {needs}: OpenBLAS would end the process")
-    said = subprocess.run([sys.executable, "-c", JUDGED], env={**os.environ, "OPENBLAS_CORETYPE": kind}, check=True,
-                          capture_output=True, text=True)  # fmt: skip
-    assert said.stdout.strip() == "[]"
+    said = run_python(JUDGED, env={**CLEAN, "OPENBLAS_CORETYPE": kind})
+    assert said.stdout.strip() == "[]", said.stderr
 
 
 @pytest.mark.parametrize(("name", "mesh", "eps"), [("gap_2", 0, 1e-12), ("steep", 1, 1e-10)])

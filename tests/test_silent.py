@@ -3,9 +3,9 @@
 from contextlib import closing
 
 import pytest
-from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import smallest
@@ -49,13 +49,8 @@ def test_a_direct_solver_goes_on():
     scene = Scene(mesh=mesh, **JUMP).change({"solve.element": "P2"})
     answer = solve(scene, start="cold")
     assert answer.record["krylov_iterations"] > answer.record["newton_iterations"]  # it was tried
-    options = PETSc.Options()
-    options["penalty_ksp_max_it"] = 3
-    try:
-        with pytest.raises(NotConverged, match="linear system"):
-            solve(scene, start="cold")
-    finally:
-        options.delValue("penalty_ksp_max_it")
+    with defaults("penalty_", {"ksp_max_it": 3}), pytest.raises(NotConverged, match="linear system"):
+        solve(scene, start="cold")
 
 
 def test_jumps_of_the_tension_keep_quadratic_elements_definite():

@@ -23,13 +23,12 @@ from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.measured.read import read
 from fenicsx_obstacle.parallel import replaced, write_text
 from fenicsx_obstacle.show import render
-from tests.conftest import DEMOS, slow_except
+from tests.conftest import CLEAN, DEMOS, slow_except
+from tests.helpers import LAUNCHER, inside, run
 from tests.processes import launch
-from tests.test_cli import CLEAN, inside, run
 
 pytestmark = pytest.mark.serial
 
-LAUNCHER = DEMOS.parent / "obstacle"
 MODULES = ("click", "signal", "threading", "gmsh", "numpy", "json", "typing", "pip", "site", "fenicsx_obstacle")
 SCENE = """
 mesh = {file = "a.geo"}
