@@ -226,7 +226,8 @@ class Refinement:
         self._solves = 0
         answer, error = solve()
         self._solves = 1
-        while self.may_lower_eps(answer) and error.penalty > BALANCED * error.discretisation:
+        chosen = answer.record["eps"] is not None and not self.given  # a number of the user is kept
+        while chosen and error.penalty > BALANCED * error.discretisation:
             least, ahead = self.ahead(answer)
             eps = answer.record["eps"] * max(least, ahead * BALANCED * error.discretisation / error.penalty)
             self.options, before = replace(self.options, eps=eps), error.penalty
@@ -260,10 +261,6 @@ class Refinement:
         elapsed, seconds = self._clock.read(self.comm)
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
-
-    def may_lower_eps(self, answer: Answer) -> bool:
-        """Whether eps is chosen automatically; a number of the user is kept."""
-        return answer.record["eps"] is not None and not self.given
 
 
 class Adaptation(Refinement):

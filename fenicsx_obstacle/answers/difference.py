@@ -45,7 +45,9 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     a, b = (one if isinstance(one, Solution) else _read(Path(one)) for one in (a, b))
     if any("resultant" in one.record["contact"] for one in (a, b)):
         raise InputError("compare: vector-valued solutions are not compared; at() has their values at points")
-    fine, coarse = _by_size(a, b)
+    if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
+        raise InputError("compare: the results have meshes of different dimensions")
+    fine, coarse = (a, b) if a.plain.level.dofs >= b.plain.level.dofs else (b, a)
     points, mine = _everywhere(fine)
     there = {"u": coarse.values(points)[mine]}
     a, b, fine, coarse = a.plain, b.plain, fine.plain, coarse.plain
@@ -81,13 +83,6 @@ def _read(folder: Path) -> Solution:
     """
     of_scene = on_root(MPI.COMM_WORLD, (folder / "scene.toml").exists)
     return Answer.read(folder) if of_scene else Solution.read(folder)
-
-
-def _by_size(a: Solution, b: Solution) -> tuple[Solution, Solution]:
-    """The finer one first."""
-    if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
-        raise InputError("compare: the results have meshes of different dimensions")
-    return (a, b) if a.plain.level.dofs >= b.plain.level.dofs else (b, a)
 
 
 def _everywhere(answer: Solution) -> tuple[np.ndarray, slice]:

@@ -120,7 +120,9 @@ class TimeStepper:
 
     def _advance(self, keep: Path | None) -> Outcome | None:
         """All steps; None where one of them has lowered eps (collective)."""
-        dt, written = self._first_step(), self._now()
+        times, dt, written = self.steps.times, self.moments.step, self._now()
+        if self.moments.tolerance is not None and len(times) > 1:  # it goes on with the last step
+            dt = times[0] - times[1]
         while (t := self.course.following(dt)) is not None:
             before = self.steps.times[0]
             if self._misses_data(before, t):
@@ -314,11 +316,6 @@ class TimeStepper:
     def _now(self) -> float:
         """Seconds by the clock of rank 0: all ranks must write together (collective)."""
         return float(self.problem.level.comm.bcast(time.perf_counter()))
-
-    def _first_step(self) -> float:
-        times = self.steps.times
-        chosen = self.moments.tolerance is not None and len(times) > 1
-        return times[0] - times[1] if chosen else self.moments.step
 
     def _step(self, t: float) -> list[Outcome]:
         self.steps.prepare(self.problem, t)

@@ -56,7 +56,9 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
         if np.any(apart > 0):
             axis.tricontourf(shape, apart, levels=[0, np.inf], colors=[OUT_OF_CONTACT], zorder=1.1)
     elif patch.fields["contact"].any():
-        _press_the_rim(axis, patch, scale)
+        edges = rim(patch.cells)  # obstacles on the boundary: a wide line along it
+        line = draw_edges(axis, patch.points, edges, cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
+        line.set_array(patch.fields["pressure"][edges].mean(axis=1))
     ticks = MaxNLocator(8).tick_values(values.min(), values.max())
     if np.ptp(values) > 0:
         axis.tricontour(shape, values, levels=ticks, colors="0.45", linewidths=0.6, linestyles="solid", zorder=2)
@@ -101,13 +103,6 @@ def triangles(patch: Patch) -> Any:
     from matplotlib.tri import Triangulation
 
     return Triangulation(*patch.points[:, :2].T, patch.cells)
-
-
-def _press_the_rim(axis: Any, patch: Patch, scale: Any) -> None:
-    """The pressure of obstacles on the boundary, as a wide line along it."""
-    edges = rim(patch.cells)
-    line = draw_edges(axis, patch.points, edges, cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
-    line.set_array(patch.fields["pressure"][edges].mean(axis=1))
 
 
 def colours(low: float, high: float, name: str) -> Any:

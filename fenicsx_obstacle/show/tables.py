@@ -85,8 +85,8 @@ class StudyTable:
             width = 22 if "uncertainty" in row else 11
             yield Cell(name.removesuffix(" obstacle"), "", words, width)
         for quantity in self._measured:
-            value = lookup(row, quantity.key)
-            yield Cell(quantity.label, self._source(quantity), "" if value is None else f"{value:.3e}", 9)
+            value, source = lookup(row, quantity.key), ("paper:" if quantity.stated else "best:") if self.by else ""
+            yield Cell(quantity.label, source, "" if value is None else f"{value:.3e}", 9)
             if self.by:
                 seen = order(quantity.key, row, self._last.get(line), self.by)
                 yield Cell("order", f"{quantity.order:g}", "" if seen is None else f"{seen:.2f}")
@@ -95,11 +95,6 @@ class StudyTable:
             earlier = "*" if label == "seconds" and self.run is not None and row.get("run") != self.run else ""
             yield Cell(label, "", "" if value is None else format(value, form) + earlier)
         self._last[line] = row
-
-    def _source(self, quantity: Any) -> str:
-        if not self.by:
-            return ""
-        return "paper:" if quantity.stated else "best:"
 
     def latex(self) -> str:
         """The whole table as a LaTeX tabular (package booktabs)."""
