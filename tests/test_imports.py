@@ -58,7 +58,7 @@ def package(folder, *names):
     return {f"fenicsx_obstacle.{folder}.{name}" for name in names}
 
 
-HEAVY = {"matplotlib", "pyvista", "slepc4py", "gmsh", "PIL", "tests"}
+HEAVY = {"matplotlib", "pyvista", "gmsh", "PIL", "tests"}
 UNWANTED = {
     "time": package("answers", "time_stepper", "steps") | package("discrete", "data_within_steps"),
     "reports": package("scenes", "functionals") | package("discrete", "distance"),
@@ -92,7 +92,7 @@ def test_commands_import_what_they_need(tmp_path):
     assert effects(plain) == EFFECTS and not {"scipy", "tqdm"} & plain
     for loaded in (plain, *more):
         assert not HEAVY & loaded
-    assert "matplotlib" in last and not {"pyvista", "slepc4py", "gmsh", "tests"} & last
+    assert "matplotlib" in last and not {"pyvista", "gmsh", "tests"} & last
 
 
 @pytest.mark.slow
