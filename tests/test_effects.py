@@ -8,8 +8,7 @@ import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Effect, _register, find, known, register
+from fenicsx_obstacle.effects.effect import Effect, OnPart, _register, find, known, register
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain

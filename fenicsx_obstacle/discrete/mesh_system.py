@@ -18,8 +18,7 @@ from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.discrete.transfer import downward
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Effect, WithTension, is_support
+from fenicsx_obstacle.effects.effect import Effect, OnPart, WithTension, is_support
 from fenicsx_obstacle.parallel import largest, smallest
 
 

@@ -172,6 +172,17 @@ class OwnEntry(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class OnPart(Effect):
+    """An effect on the part of a [[boundary]].
+
+    Attributes:
+        part: Which [[boundary]], counted from 0.
+    """
+
+    part: int
+
+
 class Elastic(Effect):
     """An effect that is the stiffness, the main part of a(u, v): each model has exactly one."""
 

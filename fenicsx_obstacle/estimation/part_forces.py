@@ -20,8 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Effect
+from fenicsx_obstacle.effects.effect import Effect, OnPart
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.oscillation import poincare

@@ -7,8 +7,7 @@ from typing import Any
 
 from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Effect, Elastic, OwnEntry, find, known
+from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart, OwnEntry, find, known
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.measured.table import MeasuredField

@@ -26,8 +26,7 @@ from fenicsx_obstacle.discrete.hierarchy import (
 from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.discrete.meshing import GEOMETRY
 from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Effect, known, of_model_problem
+from fenicsx_obstacle.effects.effect import Effect, OnPart, known, of_model_problem
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene

@@ -9,21 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fenicsx_obstacle.effects.effect import Effect, Reader, Sampler
+from fenicsx_obstacle.effects.effect import OnPart, Reader, Sampler
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.text import counted
-
-
-@dataclass(frozen=True)
-class OnPart(Effect):
-    """An effect on the part of a [[boundary]].
-
-    Attributes:
-        part: Which [[boundary]], counted from 0.
-    """
-
-    part: int
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from typing import Any
 
 import ufl
 
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Sampler, register
+from fenicsx_obstacle.effects.effect import OnPart, Sampler, register
 
 
 @register

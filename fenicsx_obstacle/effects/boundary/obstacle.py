@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Reader, register
+from fenicsx_obstacle.effects.effect import OnPart, Reader, register
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.elasticity import ball_gap, plane_gap

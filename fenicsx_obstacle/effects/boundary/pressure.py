@@ -7,8 +7,7 @@ from typing import Any
 import ufl
 from ufl import FacetNormal, inner
 
-from fenicsx_obstacle.effects.boundary import OnPart
-from fenicsx_obstacle.effects.effect import Sampler, register
+from fenicsx_obstacle.effects.effect import OnPart, Sampler, register
 
 
 @register

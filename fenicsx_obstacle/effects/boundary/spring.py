@@ -7,8 +7,8 @@ from typing import Any
 import ufl
 from ufl import FacetNormal, dot
 
-from fenicsx_obstacle.effects.boundary import OfComponents, OnPart
-from fenicsx_obstacle.effects.effect import Reader, Sampler, register
+from fenicsx_obstacle.effects.boundary import OfComponents
+from fenicsx_obstacle.effects.effect import OnPart, Reader, Sampler, register
 
 OF_BODIES = "force/length^3"  # unit of springs on elastic bodies
 
