@@ -31,7 +31,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import ObstacleProblem, penalty, releases, solve_system
 from fenicsx_obstacle.algebra.releases import AMG
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
-from fenicsx_obstacle.discrete.levels import of_mesh
+from fenicsx_obstacle.mesh.levels import of_mesh
 from fenicsx_obstacle.show.figures import figure, save
 
 COARSEST = 16  # cells a side, where nested iteration begins

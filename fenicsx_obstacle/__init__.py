@@ -49,7 +49,7 @@ _HOME = {
     "PenetrationWarning": "errors",
     "ObstacleProblem": "problems.obstacle_problem",
     "Scene": "scenes.scene",
-    "Table": "measured.table",
+    "Table": "data.measured.table",
     "Solution": "problems.solution",
     "SystemSolution": "algebra.solve_system",
     "contact_pressure": "forms.penalty",

@@ -6,10 +6,10 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete import levels
-from fenicsx_obstacle.discrete.cells import corners, facet_vertices, own_cells, sides, volumes
-from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
+from fenicsx_obstacle.mesh import levels
+from fenicsx_obstacle.mesh.cells import corners, facet_vertices, own_cells, sides, volumes
+from fenicsx_obstacle.mesh.transfer import downward
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, slow_except

@@ -15,11 +15,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue

@@ -9,7 +9,7 @@ import pytest
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.discrete.conformity import components
+from fenicsx_obstacle.mesh.checks import components
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.meshes import coarsest
 from tests.conftest import COMM

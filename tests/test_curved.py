@@ -9,7 +9,7 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Elasticity, InputError, ObstacleProblem, Scene, releases, solve
-from fenicsx_obstacle.discrete.levels import at_surface
+from fenicsx_obstacle.mesh.levels import at_surface
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM, DEMOS

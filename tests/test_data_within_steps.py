@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.discrete.data_within_steps import _Search
+from fenicsx_obstacle.answers.data_within_steps import _Search
 from tests.conftest import slow_except
 
 CELLS = 16

@@ -9,9 +9,9 @@ from mpi4py import MPI
 from scipy.linalg import eigh
 
 from fenicsx_obstacle import Scene, releases, solve
-from fenicsx_obstacle.discrete.cells import cell_facets
-from fenicsx_obstacle.discrete.levels import Level, of_mesh
 from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
+from fenicsx_obstacle.mesh.cells import cell_facets
+from fenicsx_obstacle.mesh.levels import Level, of_mesh
 from tests.conftest import COMM, by_hand, slow_except
 from tests.helpers import grid
 

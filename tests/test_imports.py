@@ -60,13 +60,13 @@ def package(folder, *names):
 
 HEAVY = {"matplotlib", "pyvista", "gmsh", "PIL", "tests"}
 UNWANTED = {
-    "time": package("answers", "time_stepper", "steps") | package("discrete", "data_within_steps"),
-    "reports": package("scenes", "functionals") | package("discrete", "distance"),
+    "time": package("answers", "time_stepper", "steps") | package("answers", "data_within_steps"),
+    "reports": package("scenes", "functionals") | package("mesh", "boundary_distance"),
     "Newton at work": package("show", "newton"),
     "bodies": package("answers", "bodies") | package("scenes", "bodies") | package("forms", "elasticity")
-    | package("discrete", "contact_nodes", "rigid", "vector_levels", "vector_problem")
+    | package("discrete", "contact_nodes", "rigid_motions", "vector_levels", "vector_problem")
     | package("problems", "vector_valued") | package("fields", "vector", "contact_table"),
-    "drift and parts of the boundary": package("discrete", "drift", "parts"),
+    "drift and parts of the boundary": package("discrete", "drift") | package("data", "measures"),
 }  # fmt: skip
 EFFECTS = package("effects", "domain", "domain.tension", "effect", "field", "plugin")
 OF_SUPPORTS = package("effects", "boundary", "boundary.spring", "domain.foundation")
@@ -100,7 +100,7 @@ def test_effects_that_are_named_are_imported(tmp_path):
     """Those of the scene, with the parts of the boundary that they act on, and no others."""
     (tmp_path / "supported.toml").write_text(SCENE + SUPPORTS)
     (loaded,) = modules_after("solve supported.toml", folder=tmp_path)
-    assert effects(loaded) == EFFECTS | OF_SUPPORTS and "fenicsx_obstacle.discrete.parts" in loaded
+    assert effects(loaded) == EFFECTS | OF_SUPPORTS and "fenicsx_obstacle.data.measures" in loaded
 
 
 @pytest.mark.slow

@@ -6,9 +6,9 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from fenicsx_obstacle.discrete import levels
-from fenicsx_obstacle.discrete.cells import corners, facet_vertices, sides
-from fenicsx_obstacle.discrete.transfer import downward, ends_of
+from fenicsx_obstacle.mesh import levels
+from fenicsx_obstacle.mesh.cells import corners, facet_vertices, sides
+from fenicsx_obstacle.mesh.transfer import downward, ends_of
 from fenicsx_obstacle.parallel import gathered, largest, on_root, total
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, DEMOS, slow_except

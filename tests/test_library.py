@@ -15,15 +15,15 @@ from petsc4py import PETSc
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.algebra.newton import solve_penalty
 from fenicsx_obstacle.algebra.vi import solve_vi
-from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import field
-from fenicsx_obstacle.discrete.levels import of_mesh, of_pair, refined
-from fenicsx_obstacle.discrete.model import Model, Part
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.fields import field
+from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import find
 from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.forms.pairs import pairs
+from fenicsx_obstacle.mesh.cells import corners, own_cells
+from fenicsx_obstacle.mesh.levels import of_mesh, of_pair, refined
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import functionspace, settle
 

@@ -11,9 +11,9 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, Solution, solve, study
-from fenicsx_obstacle.discrete import meshing
-from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
-from fenicsx_obstacle.discrete.files import content_of
+from fenicsx_obstacle.mesh import meshing
+from fenicsx_obstacle.mesh.cells import corners, own_cells, volumes
+from fenicsx_obstacle.mesh.files import content_of
 from fenicsx_obstacle.parallel import on_root, total
 from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM, slow_except
@@ -41,7 +41,7 @@ def saved(path, draw, version=4.1, binary=0, everything=1, order=1, dim=None):
 
 def test_the_process_of_gmsh_does_not_load_mpi():
     """It is started by a rank, and MPI_Init would fail in it."""
-    loaded = "import sys, fenicsx_obstacle.discrete.meshing; sys.exit('mpi4py.MPI' in sys.modules)"
+    loaded = "import sys, fenicsx_obstacle.mesh.meshing; sys.exit('mpi4py.MPI' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0
 
 
@@ -332,7 +332,7 @@ def test_step(folder):
 @pytest.mark.serial
 def test_names_of_bodies(tmp_path):
     """Bodies and sides have the names of the CAD file; bodies of one name are one material."""
-    from fenicsx_obstacle.discrete.gmsh_model import name_bodies
+    from fenicsx_obstacle.mesh.gmsh_model import name_bodies
 
     def bodies(model):
         for k, name in enumerate(("Shapes/steel", "Shapes/Open CASCADE STEP translator 7.6 1", "Shapes/steel")):

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import Answer, InputError, Scene, releases, solve
-from fenicsx_obstacle.discrete.cells import corners, facet_corners, sides
+from fenicsx_obstacle.mesh.cells import corners, facet_corners, sides
 from fenicsx_obstacle.parallel import largest, smallest, total
 from tests.conftest import COMM, membrane
 

@@ -10,9 +10,9 @@ from petsc4py import PETSc
 from fenicsx_obstacle import Answer, InputError, Scene, compare, releases, solve, study
 from fenicsx_obstacle.algebra.newton import penalty_pressure
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.cells import volumes
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
+from fenicsx_obstacle.mesh.cells import volumes
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.studies.orders import order

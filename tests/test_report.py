@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.distance import distance_to_simplices
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.mesh.boundary_distance import distance_to_simplices
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 

@@ -13,9 +13,9 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Solution, compare, releases, solve
-from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
 from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.parallel import largest, on_root, total
 from tests.conftest import COMM, DEMOS, as_version_02, membrane, slow_except
 from tests.helpers import inside, run_python

@@ -5,8 +5,8 @@ import pytest
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, Solution, Table, solve
+from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.measured.triangulated import Triangulated
 from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of, rim, with_levels, zero
 from tests.conftest import COMM
 

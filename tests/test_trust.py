@@ -18,9 +18,9 @@ import pytest
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import OUT_OF_MEMORY
 from fenicsx_obstacle.console import _PrintableText
-from fenicsx_obstacle.discrete import meshing
+from fenicsx_obstacle.data.measured.read import read
 from fenicsx_obstacle.effects import plugin
-from fenicsx_obstacle.measured.read import read
+from fenicsx_obstacle.mesh import meshing
 from fenicsx_obstacle.parallel import replaced, write_text
 from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, DEMOS, slow_except
@@ -328,7 +328,7 @@ def test_a_rejected_profile_leaves_no_folder(profile, name, time, tmp_path):
 def test_out_of_memory_blames_no_options(tmp_path):
     limited = f"import resource; resource.setrlimit(resource.RLIMIT_AS, ({2 * 10**9}, {2 * 10**9}))\n"
     limited += "import runpy, sys; sys.argv[1:] = 'solve disk_flat --cells 2000'.split()\n"
-    limited += "import fenicsx_obstacle.discrete.memory as m; m.check_memory = lambda *a: None\n"
+    limited += "import fenicsx_obstacle.mesh.memory as m; m.check_memory = lambda *a: None\n"
     limited += "import fenicsx_obstacle.scenes.meshes as m; m.check_memory = lambda *a: None\n"
     limited += "runpy.run_module('fenicsx_obstacle', run_name='__main__', alter_sys=True)\n"
     done = subprocess.run(

@@ -16,8 +16,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext, close
-from fenicsx_obstacle.discrete.memory import fits
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.memory import fits
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene

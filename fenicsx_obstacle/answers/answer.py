@@ -104,8 +104,8 @@ class Answer(Solution):
         """The tension in UFL; of a read answer that of its scene, at the last moment (first use is collective)."""
         if self.tension is not None:
             return self.tension
-        from fenicsx_obstacle.discrete.data import Data  # only if requested
-        from fenicsx_obstacle.discrete.time_discretization import Moment
+        from fenicsx_obstacle.data.data import Data  # only if requested
+        from fenicsx_obstacle.data.time_discretization import Moment
 
         time = self.record.get("time")
         data = Data(self.scene.model, self.level, None if time is None else Moment(time["t"], 0.0, 0.0))

@@ -15,12 +15,12 @@ from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.answers.time_history import Course, Frame, TimeHistory, at_time
-from fenicsx_obstacle.discrete.levels import Level, with_parts
-from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
+from fenicsx_obstacle.data.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.boundary.obstacle import HERTZ
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.vector import VectorFields
 from fenicsx_obstacle.io.folder import frame_of
+from fenicsx_obstacle.mesh.levels import Level, with_parts
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.bodies import Body, Facing, part_of

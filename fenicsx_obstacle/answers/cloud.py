@@ -12,17 +12,17 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import locate
-from fenicsx_obstacle.discrete.reference import Reference
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
+from fenicsx_obstacle.mesh.cells import corners, own_cells
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import locate
+from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import largest, new_files, on_root, total
 from fenicsx_obstacle.releases import cell_name
 
@@ -162,7 +162,7 @@ def _data(answer: Answer) -> Data:
     moments = answer.scene.time
     if moments is None:
         return Data(answer.scene.model, answer.level)
-    from fenicsx_obstacle.discrete.time_discretization import Moment  # only where a scene has time
+    from fenicsx_obstacle.data.time_discretization import Moment  # only where a scene has time
 
     moment = Moment.at_start(moments)
     moment.t = answer.record["time"]["t"]

@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
-from fenicsx_obstacle.discrete.points import values_of
-from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.mesh.cells import corners, own_cells, volumes
+from fenicsx_obstacle.mesh.points import values_of
+from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.signatures import checked

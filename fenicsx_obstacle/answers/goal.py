@@ -21,13 +21,13 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import BULK, Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.jumps import JUMPS, cells_with_jumps, jump_inside
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.jumps import JUMPS, cells_with_jumps, jump_inside
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
+from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import lookup
 from fenicsx_obstacle.scenes.scene import Scene

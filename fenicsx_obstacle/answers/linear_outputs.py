@@ -25,9 +25,9 @@ import msgspec
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.quadrature import DEGREE
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.scene import Scene

@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.releases import AMG
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.mesh.levels import Level
 
 REPETITIONS = 3
 TOLERANCE = 1e-8

@@ -10,10 +10,10 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.cells import chains, corners, facet_corners, sides
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.cells import chains, corners, facet_corners, sides
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.problems.values import Profile
 from fenicsx_obstacle.scenes.report import compare_place
 from fenicsx_obstacle.scenes.scene import Scene

@@ -21,12 +21,12 @@ from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
-from fenicsx_obstacle.discrete.levels import Level, refined_where
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.norms import Exact
 from fenicsx_obstacle.fields.scalar import Fields
+from fenicsx_obstacle.mesh.levels import Level, refined_where
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.solve import State, solve

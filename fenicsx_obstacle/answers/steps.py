@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays, to_arrays
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.data.time_discretization import INERTIA, NO_STEP, RATE, TimeDiscretization
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.time_discretization import INERTIA, NO_STEP, RATE, TimeDiscretization
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import agree, gathered, largest, on_root, replaced
 
 NAME = "checkpoint.h5"

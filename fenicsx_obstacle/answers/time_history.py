@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle.discrete.time_discretization import NO_STEP, TimeDiscretization
+from fenicsx_obstacle.data.time_discretization import NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, Array, to_hdf5, xdmf

@@ -17,13 +17,13 @@ from fenicsx_obstacle.algebra.nested import Levels, as_it_is, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import StepMonitor
+from fenicsx_obstacle.answers.data_within_steps import DataWithinSteps
 from fenicsx_obstacle.answers.steps import Steps, read_checkpoint, write_checkpoint
 from fenicsx_obstacle.answers.time_history import Course, Row, at_time
-from fenicsx_obstacle.discrete.admissible import giver, worst
-from fenicsx_obstacle.discrete.data_within_steps import DataWithinSteps
+from fenicsx_obstacle.data.admissible import giver, worst
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.discrete.drift import check_drift_in_time
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import frame_of

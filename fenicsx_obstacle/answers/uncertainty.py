@@ -19,10 +19,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.jumps import JUMPS, jump_inside
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.jumps import JUMPS, jump_inside
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
 from fenicsx_obstacle.scenes.scene import Scene
 

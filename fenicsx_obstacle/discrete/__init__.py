@@ -1,5 +1,5 @@
-"""A model on a mesh: levels, sampled data and the discrete problem.
+"""The discrete problem of a model on a mesh: a `System` from effects or a form, with its levels and checks.
 
-Contents: meshes and their hierarchy, data of any kind, matrices, the residual on one mesh. Not here: scenes, whose
-formulas are data like any others in this layer; iterations; output quantities. Levels own meshes; a problem uses one.
+Contents: matrices and residuals, the levels that a problem is solved on, contact nodes and rigid motions of bodies.
+Not here: iterations; output quantities.
 """

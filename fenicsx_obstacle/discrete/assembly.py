@@ -20,12 +20,12 @@ from ufl.algorithms import expand_derivatives
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.affine import MOSTLY, Affine
 from fenicsx_obstacle.algebra.state import State
-from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
+from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I

@@ -24,16 +24,16 @@ from ufl.classes import Derivative, Zero
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.fields import check_real, foreign
+from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled
-from fenicsx_obstacle.discrete.cells import cell_facets
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import check_real, foreign
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.mesh_validation import place
-from fenicsx_obstacle.discrete.model import Model
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
+from fenicsx_obstacle.mesh.cells import cell_facets
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.validation import place
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.text import shown
 

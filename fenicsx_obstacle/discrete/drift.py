@@ -25,12 +25,12 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.linear import LARGEST
 from fenicsx_obstacle.algebra.plausibility import moved_by, solved
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete.cells import cell_volumes, corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import array_of
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.fields import array_of
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.cells import cell_volumes, corners, own_cells
 from fenicsx_obstacle.parallel import largest, total
 
 TRAPPED = 50.0  # so many times the time in which drift crosses the domain: with a way out it is a logarithm of Pe

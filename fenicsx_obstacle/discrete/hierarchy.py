@@ -17,15 +17,15 @@ from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.releases import AMG as PRECONDITIONER
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete.cells import corners
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
-from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
+from fenicsx_obstacle.mesh.cells import corners
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.transfer import downward
 
 NESTED = "conjugate gradients with truncated multigrid; each level starts from the next coarser one"
 ALGEBRAIC = "where the mesh has no coarser one levels are algebraic, with interpolation exact for linear functions"

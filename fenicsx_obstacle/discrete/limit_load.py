@@ -12,7 +12,7 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES

@@ -12,13 +12,13 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.transfer import Transfer
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.transfer import downward
 from fenicsx_obstacle.effects.effect import Effect, OnPart, WithTension, is_support
+from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.transfer import downward
 from fenicsx_obstacle.parallel import largest, smallest
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle.algebra.system import Check
-from fenicsx_obstacle.discrete.admissible import check_admissible
+from fenicsx_obstacle.data.admissible import check_admissible
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
-from fenicsx_obstacle.discrete.data import Data
 from fenicsx_obstacle.discrete.limit_load import HINT, check_limit_load, torn
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem, cell_means
 from fenicsx_obstacle.discrete.solvability import check_support
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA
 from fenicsx_obstacle.effects.effect import of_model_problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total

@@ -20,7 +20,7 @@ from fenicsx_obstacle.algebra.coarsening import BOUNDARY, FIXED, FREE, Nodes, co
 from fenicsx_obstacle.algebra.kernels import kernels
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.transfer import Transfer
-from fenicsx_obstacle.discrete.rigid import RigidMotions
+from fenicsx_obstacle.discrete.rigid_motions import RigidMotions
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.parallel import total
 

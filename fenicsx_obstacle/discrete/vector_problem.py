@@ -19,7 +19,7 @@ from fenicsx_obstacle.algebra.system import Check
 from fenicsx_obstacle.discrete.assembly import Forms, Nodal
 from fenicsx_obstacle.discrete.contact_nodes import VectorData
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.rigid import BodySystem, check_held, moves_freely
+from fenicsx_obstacle.discrete.rigid_motions import BodySystem, check_held, moves_freely
 from fenicsx_obstacle.parallel import total
 
 

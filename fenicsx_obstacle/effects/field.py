@@ -1,6 +1,6 @@
 """Fields: the data of a problem, such as tension, load, obstacle or boundary value, in any form the user gives.
 
-A `Field` is a scalar function of place and time. `discrete.fields` makes one of what users of DOLFINx have; formulas of
+A `Field` is a scalar function of place and time. `data.fields` makes one of what users of DOLFINx have; formulas of
 a scene are another class of it, and a plug-in may have one of its own.
 """
 
@@ -181,7 +181,7 @@ class Field:
         return values
 
     def on(self, level: Any) -> Field:
-        """The datum on the mesh of a `discrete.levels.Level`; Functions of other meshes are interpolated
+        """The datum on the mesh of a `mesh.levels.Level`; Functions of other meshes are interpolated
         (collective)."""
         return self
 
@@ -211,7 +211,7 @@ class Field:
         return None
 
     def expression(self, symbols: Any) -> Any:
-        """As a UFL expression that can be differentiated, made of `discrete.fields.Symbols`.
+        """As a UFL expression that can be differentiated, made of `data.fields.Symbols`.
 
         Raises:
             InputError: If it cannot be.

@@ -27,7 +27,6 @@ from dataclasses import replace
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.discrete.cells import facet_vertices
 from fenicsx_obstacle.estimation.boundary_values import (
     DEGREE,
     NODES,
@@ -44,6 +43,7 @@ from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.shared_edges import SharedEdges
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.mesh.cells import facet_vertices
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 # of facets, by the dimension of the cells

@@ -12,8 +12,8 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import polynomials, releases
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import array_of
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.fields import array_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.effects.field import Field, Rows

@@ -9,8 +9,8 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import NO_BOUND
-from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.parallel import largest, total
 
 TOUCHES = 1e-8  # of the range of u

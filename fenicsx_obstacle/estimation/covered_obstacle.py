@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
 from fenicsx_obstacle.estimation.clipped import Clipped

@@ -13,12 +13,12 @@ import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, facet_vertices, own_cells
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplices import Simplices, last_on_sides
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, own_cells
 from fenicsx_obstacle.parallel import first_given, largest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,

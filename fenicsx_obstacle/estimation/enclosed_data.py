@@ -24,7 +24,7 @@ from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
 from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges, sizes
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.data import Data
+    from fenicsx_obstacle.data.data import Data
 
 NEGLIGIBLE_CURVATURE = 0.01  # of h^2 max|D^2 f|/2: an interpolant of degree 2 so near is enough
 NEGLIGIBLE_REMAINDER = 1e-4  # of h/length max|f|: an interpolant of degree 2 so near is enough

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.cells import corners, own_cells, volumes
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.norms import ExactSolution
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.cells import corners, own_cells, volumes
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.polynomials import halved
 from fenicsx_obstacle.releases import cell_name

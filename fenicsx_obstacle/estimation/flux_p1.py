@@ -20,7 +20,7 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
 from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, boundary_obstacles

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.estimation.multipliers import Multipliers, pushes

@@ -27,9 +27,9 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, volumes
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, volumes
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import largest, total
 
 

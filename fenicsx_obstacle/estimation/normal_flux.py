@@ -8,9 +8,9 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, sides
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.reference import Reference
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.mesh.cells import cell_facets, sides
+from fenicsx_obstacle.mesh.reference_cell import Reference
 
 Tension = Callable[[np.ndarray, np.ndarray], np.ndarray | float]
 Rule = tuple[np.ndarray, np.ndarray]  # weights of the vertices of a facet at points, weights of sum 1

@@ -15,15 +15,15 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.releases import AMG
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import Symbols
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.fields import Symbols
+from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Sampler, residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import DEGREE
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import largest, total
 
 
@@ -42,7 +42,7 @@ class ExactData:
         self.symbols = Symbols(mesh, {**now, "eps": self.eps})
         self.dx: Any = ufl.Measure("dx", domain=mesh, metadata={"quadrature_degree": DEGREE})
         if data.model.radial:
-            from fenicsx_obstacle.discrete.parts import Weighted  # only with axial symmetry
+            from fenicsx_obstacle.data.measures import Weighted  # only with axial symmetry
 
             self.dx = Weighted(self.dx, None, self.symbols.axes[0])
 

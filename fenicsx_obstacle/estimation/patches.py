@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.discrete.cells import own_cells
 from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.parallel import largest
 
 # the other vertices of a cell after each one

@@ -17,9 +17,9 @@ from typing import Any, cast
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.discrete.points import locate
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.mesh.points import locate
 
 AT_VERTEX = 1e-9  # of the length of a cell
 

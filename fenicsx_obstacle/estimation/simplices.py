@@ -9,12 +9,12 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import polynomials, releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.parallel import total
 
 ON_AXIS = 1e-12  # relative to the largest distance from it

@@ -14,10 +14,10 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import given_cells, own_cells
-from fenicsx_obstacle.discrete.halving import Numbers
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.cells import given_cells, own_cells
+from fenicsx_obstacle.mesh.halving import Numbers
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import before
 
 _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}

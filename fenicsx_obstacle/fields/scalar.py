@@ -12,9 +12,9 @@ import ufl
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.cut import Cut, OnNodes, cut, on_nodes
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.text import nearest
 
@@ -194,7 +194,7 @@ class Fields:
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
-        from fenicsx_obstacle.discrete.points import values_of  # only if requested
+        from fenicsx_obstacle.mesh.points import values_of  # only if requested
 
         parents = None if self.level.pair.nested_hierarchy else self.cut.parents
         return values_of(function, points, level=self.plain.level, parents=parents)

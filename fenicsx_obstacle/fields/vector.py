@@ -12,13 +12,13 @@ from dolfinx import fem
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.levels import Level, over
-from fenicsx_obstacle.discrete.points import values_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.cut import Cut
 from fenicsx_obstacle.fields.scalar import PARTITION, Fields, Force
+from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.levels import Level, over
+from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.text import nearest
 

@@ -14,15 +14,15 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import given_cells, own_cells
-from fenicsx_obstacle.discrete.levels import Level, of_pair
-from fenicsx_obstacle.discrete.named_parts import named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.io.rows import Rows
 from fenicsx_obstacle.io.validation import VERTICES, share
+from fenicsx_obstacle.mesh.cells import given_cells, own_cells
+from fenicsx_obstacle.mesh.levels import Level, of_pair
+from fenicsx_obstacle.mesh.named_parts import named
 from fenicsx_obstacle.parallel import agree, gathered
 
 OWN_MESH = ("element.xdmf", "element.h5")  # a mesh of the caller's own, where fields.xdmf has cut cells

@@ -17,9 +17,6 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.stopping import Step
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.levels import vector_pair
-from fenicsx_obstacle.discrete.named_parts import Groups, parts_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
 from fenicsx_obstacle.fields.scalar import Fields, with_gap
@@ -28,6 +25,9 @@ from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, 
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
 from fenicsx_obstacle.io.validation import check_arrays, check_record
+from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.levels import vector_pair
+from fenicsx_obstacle.mesh.named_parts import Groups, parts_of
 from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root, write_text
 
 ANSWER = "answer.json"

@@ -20,13 +20,13 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.newton import diagonal_of
-from fenicsx_obstacle.discrete.fields import field, foreign, is_complex
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.mesh_tags import check_both_sides, check_tags
+from fenicsx_obstacle.data.fields import field, foreign, is_complex
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
+from fenicsx_obstacle.mesh.tags import check_both_sides, check_tags
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total, warn
 from fenicsx_obstacle.problems.residual_form import ResidualForm, expanded
 from fenicsx_obstacle.text import one_line, shown

@@ -22,14 +22,14 @@ from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.penalty_parameter import NoPositiveDiagonal
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step, StepMonitor
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of
-from fenicsx_obstacle.discrete.levels import Level, of_space
-from fenicsx_obstacle.discrete.model import Model, Part
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.discrete.shared_dofs import share
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.fields.scalar import Fields
+from fenicsx_obstacle.mesh.levels import Level, of_space
+from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
 from fenicsx_obstacle.problems.input_checks import (
     check_energy,

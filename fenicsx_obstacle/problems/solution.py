@@ -14,9 +14,9 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.stopping import Step
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.scalar import Fields, Force
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.problems.summary import main_values, summary
 from fenicsx_obstacle.problems.values import Adaptive, Errors, Profile, Quantity, Seconds
 from fenicsx_obstacle.signatures import checked

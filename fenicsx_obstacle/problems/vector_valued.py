@@ -12,7 +12,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.fields import check_real, foreign
+from fenicsx_obstacle.data.fields import check_real, foreign
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError

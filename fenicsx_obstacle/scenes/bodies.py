@@ -18,19 +18,19 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.assembly import assembled
-from fenicsx_obstacle.discrete.cells import corners, own_cells
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.levels import Level, at_surface, over, vector_pair
-from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.effects.domain.elasticity import Elasticity
 from fenicsx_obstacle.effects.effect import residual
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.contact_table import ContactTable
+from fenicsx_obstacle.mesh.cells import corners, own_cells
+from fenicsx_obstacle.mesh.levels import Level, at_surface, over, vector_pair
+from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.solution import Solution

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fenicsx_obstacle.data.measured.table import Table
 from fenicsx_obstacle.effects.effect import Elastic, find
 from fenicsx_obstacle.effects.field import ByCells, Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair, pair_for, pairs
-from fenicsx_obstacle.measured.table import Table
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula

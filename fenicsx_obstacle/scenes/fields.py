@@ -14,7 +14,7 @@ from fenicsx_obstacle.scenes.formulas import NUMPY, TWO_VALUED, Formula, ufl_alp
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.fields import Symbols
+    from fenicsx_obstacle.data.fields import Symbols
 
 
 @dataclass(frozen=True, eq=False)

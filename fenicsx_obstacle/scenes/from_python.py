@@ -12,11 +12,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.levels import Level, of_mesh
-from fenicsx_obstacle.discrete.mesh_tags import check_tags
+from fenicsx_obstacle.data.measured.table import Table
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.measured.table import Table
+from fenicsx_obstacle.mesh.levels import Level, of_mesh
+from fenicsx_obstacle.mesh.tags import check_tags
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.text import shown
 
@@ -66,7 +66,7 @@ def field_of(name: str, objects: Objects, place: str) -> Field:
     """
     if name not in objects:
         return _Gone(name, place)
-    from fenicsx_obstacle.discrete.fields import field  # only where there is one: it imports finite elements
+    from fenicsx_obstacle.data.fields import field  # only where there is one: it imports finite elements
 
     return field(objects[name], place)
 

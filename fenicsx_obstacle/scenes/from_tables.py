@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fenicsx_obstacle.discrete.model import Model, Part
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
+from fenicsx_obstacle.data.measured.table import MeasuredField
+from fenicsx_obstacle.data.model import Model, Part
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart, OwnEntry, find, known
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.measured.table import MeasuredField
 from fenicsx_obstacle.scenes.definitions import Definitions
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.from_python import stands_for_an_object

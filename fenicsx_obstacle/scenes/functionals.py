@@ -14,13 +14,13 @@ from functools import partial
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.discrete.cells import corners, own_cells, sides
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.points import locate, mean_over_cells
-from fenicsx_obstacle.discrete.reference import Reference
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.normal_flux import NormalFlux, outward_flux
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks, rule
+from fenicsx_obstacle.mesh.cells import corners, own_cells, sides
+from fenicsx_obstacle.mesh.points import locate, mean_over_cells
+from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.definitions import JUMP, NORMAL_FLUX
 from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula

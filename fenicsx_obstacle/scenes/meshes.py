@@ -5,11 +5,11 @@ from __future__ import annotations
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import files, shapes
-from fenicsx_obstacle.discrete.levels import Level, halves_at_once, of_pair, refined
-from fenicsx_obstacle.discrete.memory import check_memory
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
+from fenicsx_obstacle.mesh import files, shapes
+from fenicsx_obstacle.mesh.levels import Level, halves_at_once, of_pair, refined
+from fenicsx_obstacle.mesh.memory import check_memory
 from fenicsx_obstacle.scenes.definitions import Definitions
 
 

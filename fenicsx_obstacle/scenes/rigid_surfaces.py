@@ -12,10 +12,10 @@ import numpy as np
 from mpi4py import MPI
 from scipy.linalg import null_space
 
+from fenicsx_obstacle.data.measured.table import MeasuredField
+from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.measured.table import MeasuredField
-from fenicsx_obstacle.measured.triangulated import Triangulated
 from fenicsx_obstacle.parallel import agree, largest
 
 ALONG = 1e-12  # a component of a unit vector that is 0

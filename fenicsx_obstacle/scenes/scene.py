@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
-from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
+from fenicsx_obstacle.data.model import Model
+from fenicsx_obstacle.data.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, known
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair

@@ -12,9 +12,9 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fenicsx_obstacle.algebra.options import MethodName, StartName
+from fenicsx_obstacle.data.measured.table import in_words
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.measured.table import in_words
 from fenicsx_obstacle.scenes.formulas import SHOWN
 from fenicsx_obstacle.text import nearest
 
@@ -37,7 +37,7 @@ Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
 
 class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Measured data, {file = "rough.csv"}: the keys of `measured.table.Table`."""
+    """Measured data, {file = "rough.csv"}: the keys of `data.measured.table.Table`."""
 
     file: str
     x: Numbers | None = None

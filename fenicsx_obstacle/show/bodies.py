@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.cells import chains
+from fenicsx_obstacle.mesh.cells import chains
 from fenicsx_obstacle.show.boundary import Patch, rim
 from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank, legend_below
 from fenicsx_obstacle.show.maps import draw_edges, heights, pressures

@@ -13,6 +13,7 @@ from typing import Any
 
 from fenicsx_obstacle.algebra.coarse import SMALLEST
 from fenicsx_obstacle.algebra.methods import METHODS, NONLINEAR_WORDS
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.discrete.hierarchy import (
     ALGEBRAIC,
     AUGMENTED,
@@ -23,10 +24,9 @@ from fenicsx_obstacle.discrete.hierarchy import (
     nested,
     stepwise,
 )
-from fenicsx_obstacle.discrete.memory import BYTES_PER_VERTEX, OTHERS
-from fenicsx_obstacle.discrete.meshing import GEOMETRY
-from fenicsx_obstacle.discrete.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.effect import Effect, OnPart, known, of_model_problem
+from fenicsx_obstacle.mesh.memory import BYTES_PER_VERTEX, OTHERS
+from fenicsx_obstacle.mesh.meshing import GEOMETRY
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene

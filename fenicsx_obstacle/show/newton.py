@@ -14,11 +14,11 @@ from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of, with_levels

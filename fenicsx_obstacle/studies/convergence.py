@@ -12,9 +12,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.io.validation import check_record
+from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.catalogue import SCENE, changed
 from fenicsx_obstacle.scenes.scene import Scene

@@ -24,11 +24,11 @@ from fenicsx_obstacle.answers.adapt import Budget, Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.memory import fits
-from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.io.folder import content_of
+from fenicsx_obstacle.mesh.memory import fits
+from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb, total
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.scenes.scene import Scene

@@ -11,8 +11,8 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.discrete.meshing import read_once
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.problems.summary import lookup
 from fenicsx_obstacle.scenes.catalogue import SCENE, changed
 from fenicsx_obstacle.scenes.scene import Scene

@@ -20,8 +20,8 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work
 from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.cells import own_cells
-from fenicsx_obstacle.discrete.memory import free_megabytes
+from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.memory import free_megabytes
 from fenicsx_obstacle.scenes.scene import Scene
 
 SECONDS = 3.0  # of the first meshes

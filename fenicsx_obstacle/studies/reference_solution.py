@@ -16,10 +16,10 @@ from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.estimation.norms import Distance, Exact
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 

@@ -19,9 +19,9 @@ import msgspec
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete import files
 from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh import files
 from fenicsx_obstacle.origin import versions
 from fenicsx_obstacle.parallel import make_folder, on_root, remove_empty, write_text
 from fenicsx_obstacle.scenes.scene import Scene

@@ -14,7 +14,7 @@ from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.algebra.vi import residual_pressure
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.time_discretization import INERTIA
+from fenicsx_obstacle.data.time_discretization import INERTIA
 from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from fenicsx_obstacle.discrete.model import Model
+from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.effects.domain.power_law import FLAT
 from fenicsx_obstacle.effects.effect import OnPart, is_support
 from fenicsx_obstacle.scenes.scene import Scene

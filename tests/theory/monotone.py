@@ -11,8 +11,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.forms.rules import nodal_rule
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.scenes import meshes

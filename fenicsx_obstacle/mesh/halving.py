@@ -16,9 +16,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_edges, given_cells, own_cells
-from fenicsx_obstacle.discrete.shapes import Shape
-from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
+from fenicsx_obstacle.mesh.cells import cell_edges, given_cells, own_cells
+from fenicsx_obstacle.mesh.shapes import Shape
+from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES, RING
 

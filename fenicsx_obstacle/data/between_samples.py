@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.points import locate
-from fenicsx_obstacle.discrete.samples import Samples
+from fenicsx_obstacle.data.samples import Samples
 from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import locate
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.text import counted
 

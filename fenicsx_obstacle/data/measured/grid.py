@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.measured.surface import EDGE, Surface, gradients, parts, runs
+from fenicsx_obstacle.data.measured.surface import EDGE, Surface, gradients, parts, runs
 
 _FAR = 1e150  # the ends of the other axis of data along one axis
 _SNAP = 1e-11  # of its length: an end of a cell so near a line of the grid is on it

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.time_discretization import NO_STEP, RATE
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.time_discretization import NO_STEP, RATE
 from fenicsx_obstacle.effects.field import Field, Names, TimeBounds
 from fenicsx_obstacle.parallel import first_given, largest, smallest
 

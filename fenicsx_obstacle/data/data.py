@@ -15,25 +15,25 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import NO_BOUND, with_infinities
-from fenicsx_obstacle.discrete.cell_means import average
-from fenicsx_obstacle.discrete.cells import cell_volumes
-from fenicsx_obstacle.discrete.fields import Cellwise, array_of
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.mesh_tags import check_both_sides
-from fenicsx_obstacle.discrete.model import Model, Part
-from fenicsx_obstacle.discrete.points import spread
-from fenicsx_obstacle.discrete.samples import Samples
-from fenicsx_obstacle.discrete.sampling_check import check_between, check_definite, inadmissible
-from fenicsx_obstacle.discrete.shared_dofs import share
-from fenicsx_obstacle.discrete.time_discretization import Moment, Motion
+from fenicsx_obstacle.data.between_samples import check_between, check_definite, inadmissible
+from fenicsx_obstacle.data.cell_means import average
+from fenicsx_obstacle.data.fields import Cellwise, array_of
+from fenicsx_obstacle.data.model import Model, Part
+from fenicsx_obstacle.data.samples import Samples
+from fenicsx_obstacle.data.time_discretization import Moment, Motion
 from fenicsx_obstacle.effects.field import Field, Names, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.cells import cell_volumes
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import spread
+from fenicsx_obstacle.mesh.shared_dofs import share
+from fenicsx_obstacle.mesh.tags import check_both_sides
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.discrete.parts import Parts, Weighted
+    from fenicsx_obstacle.data.measures import Parts, Weighted
 
 
 class Data(Samples):
@@ -182,7 +182,7 @@ class Data(Samples):
         dx = ufl.Measure("dx", domain=self.level.mesh)
         if not self.model.radial:
             return dx
-        from fenicsx_obstacle.discrete.parts import Weighted  # only with axial symmetry
+        from fenicsx_obstacle.data.measures import Weighted  # only with axial symmetry
 
         return Weighted(dx, None, self.radius)
 
@@ -371,7 +371,7 @@ class Data(Samples):
         Raises:
             InputError: If a part is inside, and no rank has the cells on both sides of a facet.
         """
-        from fenicsx_obstacle.discrete.parts import Parts  # only where a model names one
+        from fenicsx_obstacle.data.measures import Parts  # only where a model names one
 
         found = []
         for number, part in enumerate(self.model.boundary):

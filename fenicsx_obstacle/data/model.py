@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fenicsx_obstacle.discrete.time_discretization import TimeDiscretization
+from fenicsx_obstacle.data.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart
 from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError

@@ -7,9 +7,9 @@ from itertools import combinations, permutations
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.cells import corners, own_cells
-from fenicsx_obstacle.discrete.data import Data
+from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field, fields_in
+from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 JUMPS = "jumps inside cells; lay edges of cells along the jump"  # of a datum, in messages

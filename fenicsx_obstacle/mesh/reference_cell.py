@@ -16,9 +16,9 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import cells as simplices
-from fenicsx_obstacle.discrete.cells import corners, facet_corners
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh import cells as simplices
+from fenicsx_obstacle.mesh.cells import corners, facet_corners
 
 NEWTON_STEPS = 20  # to a place in a quadrilateral or hexahedron; parallelograms take one
 

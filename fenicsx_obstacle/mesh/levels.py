@@ -15,16 +15,16 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import bisection, parents
-from fenicsx_obstacle.discrete.cells import cell_volumes, corners, own_cells
-from fenicsx_obstacle.discrete.conformity import Components, check_mesh, components
-from fenicsx_obstacle.discrete.halving import Grid, halvings
-from fenicsx_obstacle.discrete.parents import Name
-from fenicsx_obstacle.discrete.reference import lagrange_degree
-from fenicsx_obstacle.discrete.shapes import Shape
-from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
+from fenicsx_obstacle.mesh import bisection, parents
+from fenicsx_obstacle.mesh.cells import cell_volumes, corners, own_cells
+from fenicsx_obstacle.mesh.checks import Components, check_mesh, components
+from fenicsx_obstacle.mesh.halving import Grid, halvings
+from fenicsx_obstacle.mesh.parents import Name
+from fenicsx_obstacle.mesh.reference_cell import lagrange_degree
+from fenicsx_obstacle.mesh.shapes import Shape
+from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import largest, smallest
 
 AT_ONCE = 50_000  # cells in memory

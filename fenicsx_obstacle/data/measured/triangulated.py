@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.measured.surface import EDGE, Surface, gradients, parts, runs
+from fenicsx_obstacle.data.measured.surface import EDGE, Surface, gradients, parts, runs
 
 _INSIDE = 1e-9  # how far a barycentric coordinate may be below 0
 _NEAR_WHOLE = 1e-12  # the same of the corners of a cell that is said to lie in one triangle

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenicsx_obstacle.discrete.cells import corners, facet_vertices, sides
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.cells import corners, facet_vertices, sides
+from fenicsx_obstacle.mesh.levels import Level
 
 FIRST = 8  # candidates of the first round
 AT_ONCE = 2_000_000  # pairs of point and facet in memory

@@ -27,13 +27,13 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.mesh_validation import place
-from fenicsx_obstacle.discrete.points import values_of
-from fenicsx_obstacle.discrete.shared_dofs import share
+from fenicsx_obstacle.data.measured.table import Table
 from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.measured.table import Table
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import values_of
+from fenicsx_obstacle.mesh.shared_dofs import share
+from fenicsx_obstacle.mesh.validation import place
 from fenicsx_obstacle.parallel import agree, first_given, largest, total
 from fenicsx_obstacle.text import one_line, plain, shown
 

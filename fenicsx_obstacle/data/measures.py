@@ -11,9 +11,9 @@ import ufl
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import Rule, facet_of, nodal_rule
+from fenicsx_obstacle.mesh.levels import Level
 
 MOST = 30  # pairs of a part and a key: each is a bit of a facet's tag
 

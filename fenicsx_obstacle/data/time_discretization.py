@@ -13,8 +13,8 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.effects.field import Field
+from fenicsx_obstacle.mesh.levels import Level
 
 EQUILIBRIA, RATE, INERTIA = 0, 1, 2  # orders of the derivatives in time
 NO_STEP = 1e-9  # of the whole time

@@ -13,8 +13,8 @@ import numpy as np
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, facet_corners, given_cells, own_cells, sides
-from fenicsx_obstacle.discrete.levels import Level
+from fenicsx_obstacle.mesh.cells import cell_facets, facet_corners, given_cells, own_cells, sides
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import before, gathered
 
 Groups = dict[str, np.ndarray]

@@ -9,11 +9,11 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import corners, duals
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.reference import Reference
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.cells import corners, duals
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.text import counted
 
 ROUND_OFF = 1e-9  # of the size of a cell: how far outside a point may lie

@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_facets, corners, edge_lengths, facet_vertices, own_cells
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, edge_lengths, facet_vertices, own_cells
 from fenicsx_obstacle.parallel import before, on_root
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES
 

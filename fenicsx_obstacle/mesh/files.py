@@ -15,13 +15,13 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete import meshing
-from fenicsx_obstacle.discrete.cells import given_cells, own_cells
-from fenicsx_obstacle.discrete.levels import Level, of_mesh
-from fenicsx_obstacle.discrete.mesh_validation import validate_mesh
-from fenicsx_obstacle.discrete.named_parts import Groups, local_facets, named
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import dataset, opened
+from fenicsx_obstacle.mesh import meshing
+from fenicsx_obstacle.mesh.cells import given_cells, own_cells
+from fenicsx_obstacle.mesh.levels import Level, of_mesh
+from fenicsx_obstacle.mesh.named_parts import Groups, local_facets, named
+from fenicsx_obstacle.mesh.validation import validate_mesh
 from fenicsx_obstacle.parallel import on_root
 
 GMSH = (".msh", *meshing.GEOMETRY)

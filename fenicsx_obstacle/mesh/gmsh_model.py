@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.mesh_validation import place, validate_mesh
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.validation import place, validate_mesh
 from fenicsx_obstacle.text import counted
 
 # Gmsh's numbers of cells with straight sides and of those of degree 2, and their kinds with their vertices in Gmsh

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle.data.measured.grid import Grid
+from fenicsx_obstacle.data.measured.read import Heights, of_arrays, read
+from fenicsx_obstacle.data.measured.surface import OnSurface, Surface
+from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.measured.grid import Grid
-from fenicsx_obstacle.measured.read import Heights, of_arrays, read
-from fenicsx_obstacle.measured.surface import OnSurface, Surface
-from fenicsx_obstacle.measured.triangulated import Triangulated
 from fenicsx_obstacle.text import counted
 
 KEYS = ("file", "x", "y", "range", "scale", "rotate", "shift", "smooth")

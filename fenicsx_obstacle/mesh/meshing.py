@@ -1,6 +1,6 @@
 """Gmsh in a separate process, since a file that it cannot read may end the process, and a .geo is a program.
 
-`python -P -B -m fenicsx_obstacle.discrete.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy
+`python -P -B -m fenicsx_obstacle.mesh.meshing FILE ARRAYS` writes the mesh of a .geo, .step or .msh file as NumPy
 arrays, or, if there are arrays already, moves the points in them to the CAD geometry of the .geo or .step; if that
 fails it prints the reason and leaves with status 1 (Gmsh's reason) or 2 (ours). While it reads, it is confined.
 """
@@ -22,8 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fenicsx_obstacle.discrete.confinement import confine
-from fenicsx_obstacle.discrete.gmsh_model import (
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.confinement import confine
+from fenicsx_obstacle.mesh.gmsh_model import (
     arrays_of,
     join_bodies,
     name_bodies,
@@ -31,7 +32,6 @@ from fenicsx_obstacle.discrete.gmsh_model import (
     samples,
     ungrouped_cells,
 )
-from fenicsx_obstacle.errors import InputError
 
 _REJECTED = 2  # exit status
 GEOMETRY = (".geo", ".step", ".stp")  # files that have a geometry, from which Gmsh makes the mesh

@@ -16,11 +16,11 @@ from dolfinx import fem, la
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import cell_edges, given_cells, own_cells
-from fenicsx_obstacle.discrete.halving import Numbers
-from fenicsx_obstacle.discrete.shared_dofs import points_of_nodes
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.cells import cell_edges, given_cells, own_cells
+from fenicsx_obstacle.mesh.halving import Numbers
+from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import before, total
 from fenicsx_obstacle.polynomials import EDGES
 

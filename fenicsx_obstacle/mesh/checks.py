@@ -16,7 +16,9 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import (
+from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import TENSORS
+from fenicsx_obstacle.mesh.cells import (
     barycentric,
     cell_facets,
     corner_simplices,
@@ -28,9 +30,7 @@ from fenicsx_obstacle.discrete.cells import (
     sizes,
     spanned,
 )
-from fenicsx_obstacle.discrete.mesh_validation import place
-from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.forms.pairs import TENSORS
+from fenicsx_obstacle.mesh.validation import place
 from fenicsx_obstacle.parallel import first_given, on_root
 from fenicsx_obstacle.text import counted
 

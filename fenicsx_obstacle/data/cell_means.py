@@ -12,10 +12,10 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.discrete.cells import corners
-from fenicsx_obstacle.discrete.samples import Samples
+from fenicsx_obstacle.data.samples import Samples
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.cells import corners
 from fenicsx_obstacle.parallel import agree
 
 JUMP = 1.1  # ratio of values in a cell: a datum that varies less counts as smooth

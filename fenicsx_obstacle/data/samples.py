@@ -9,14 +9,14 @@ from typing import Any, TypeVar
 import numpy as np
 from dolfinx import fem
 
-from fenicsx_obstacle.discrete.fields import Cellwise, array_of
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.mesh_validation import place
-from fenicsx_obstacle.discrete.model import Model
-from fenicsx_obstacle.discrete.shared_dofs import share
-from fenicsx_obstacle.discrete.time_discretization import Moment
+from fenicsx_obstacle.data.fields import Cellwise, array_of
+from fenicsx_obstacle.data.model import Model
+from fenicsx_obstacle.data.time_discretization import Moment
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.shared_dofs import share
+from fenicsx_obstacle.mesh.validation import place
 from fenicsx_obstacle.parallel import first_given
 
 Sampled = TypeVar("Sampled", bound=Cellwise)
@@ -80,7 +80,7 @@ class Samples:
     @cached_property
     def boundary_distance(self) -> Callable[[np.ndarray], np.ndarray]:
         """Distance to the boundary of points (n, 3) (first use is collective)."""
-        from fenicsx_obstacle.discrete.distance import BoundaryDistance  # with scipy: only where a datum needs it
+        from fenicsx_obstacle.mesh.boundary_distance import BoundaryDistance  # with scipy: only where a datum needs it
 
         return BoundaryDistance(self.level)
 

@@ -9,8 +9,8 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import PRESCRIBE
-from fenicsx_obstacle.discrete.data import Data
-from fenicsx_obstacle.discrete.fields import OfFunction
+from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.fields import OfFunction
 from fenicsx_obstacle.effects.effect import is_support
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total

@@ -10,10 +10,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.transfer import Transfer
-from fenicsx_obstacle.discrete.halving import Numbers
-from fenicsx_obstacle.discrete.levels import Level
-from fenicsx_obstacle.discrete.shared_dofs import without_cell
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.halving import Numbers
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.shared_dofs import without_cell
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.polynomials import EDGES
 

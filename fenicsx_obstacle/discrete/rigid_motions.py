@@ -12,10 +12,10 @@ from petsc4py import PETSc
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN, stiffness_of
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete.contact_nodes import VectorData
-from fenicsx_obstacle.discrete.levels import Level
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
-from fenicsx_obstacle.discrete.mesh_validation import place
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.validation import place
 from fenicsx_obstacle.parallel import largest, total
 
 INDEPENDENT = 1e-8  # of the largest eigenvalue of a Gram matrix: vectors that are others' combinations
