@@ -21,6 +21,7 @@ def wrong(seeds):
     return found
 
 
+@pytest.mark.slow
 def test_few():
     assert not wrong(range(FIRST, FIRST + FEW))
 

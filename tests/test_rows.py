@@ -88,6 +88,7 @@ def test_key_depends_on_everything_that_matters(tmp_path):
 SET_UP = (LAUNCHER.parent / ".venv" / "complete").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
