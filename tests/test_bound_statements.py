@@ -265,6 +265,25 @@ def test_the_state_is_above_the_obstacle(element):
     assert largest(COMM, np.where(state.covered(cells)[:, :, None], -1.0, beyond)) <= 1e-12
 
 
+def test_the_distance_from_an_obstacle_counts_kinks_of_boundary_values():
+    """(E3): where the boundary value is above its interpolant, the integral of v - g over a cell is larger by that of
+    the cone, two thirds of the area times the mean of the difference on the edge."""
+    value = "-abs(x - 0.3) - abs(y - 0.7)"
+    scene = Scene(mesh={"shape": "rectangle", "cells": 3}, tension=1, load=-1, lower=-9, boundary=[{"value": value}])
+    with closing(SolverContext(scene)) as context:
+        u, element = context.answer(bound=True).u.x.array, context.estimator.element
+        obstacle, simplices = element.obstacles[0], element.simplices
+        gap = element._gap(u, obstacle)
+    cells, opposite = np.nonzero(simplices.part_of == 0)
+    ends, s = simplices.x[cells[:, None], (opposite[:, None] + [1, 2]) % 3], (np.arange(1000)[:, None] + 0.5) / 1000
+    x = np.concatenate([ends[:, :1] + s * (ends[:, 1:] - ends[:, :1]), ends], axis=1)
+    along = -np.abs(x[..., 0] - 0.3) - np.abs(x[..., 1] - 0.7)
+    along = along[:, :-2] - (along[:, -2:-1] * (1 - s.T) + along[:, -1:] * s.T)
+    exact = simplices.area * (u - obstacle.nodal)[simplices.dofs].mean(axis=1)
+    np.add.at(exact, cells, 2 / 3 * simplices.area[cells] * along.mean(axis=1))
+    assert largest(COMM, along) > 0.05 and np.all(gap >= exact - 1e-8)
+
+
 @pytest.mark.serial
 def test_multipliers_of_p2_are_positive():
     """(E18): lambda = 1 at one midpoint of each cell, 0 at the others, is -1 at a vertex. lambda_+ is the mean 1/3 and
