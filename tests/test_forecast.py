@@ -46,7 +46,7 @@ def path_of(scene, goal, unknowns):
 
 CASES = [
     ("disk_flat", "P1", None, 15000), ("nsv", "P2", None, 60000), ("torsion_disk", "P1", None, 15000),
-    ("ball in a cube", "P1", None, 15000), ("prism", "P1", None, 14000), ("string_parabola", "P1", None, 20000),
+    ("ball in a cube", "P1", None, 25000), ("prism", "P1", None, 14000), ("string_parabola", "P1", None, 20000),
     ("disk_flat", "P1", "force", 8000),
 ]  # fmt: skip
 
