@@ -193,7 +193,11 @@ def restricted(coefficients: np.ndarray, parts: np.ndarray, degree: int) -> np.n
         parts: Barycentric coordinates of the corners of the parts, shape (parts, corners, corners).
         degree: Of the polynomials.
     """
-    return np.matmul(to_parts(parts, degree), coefficients[..., None])[..., 0]
+    found = np.empty(coefficients.shape)
+    for first in range(0, len(parts), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        found[rows] = np.matmul(to_parts(parts[rows], degree), coefficients[rows, :, None])[..., 0]
+    return found
 
 
 def slopes(coefficients: np.ndarray, corners: int, degree: int) -> np.ndarray:
