@@ -330,9 +330,9 @@ class _Near:
     ) -> None:  # fmt: skip
         """Let polynomials stand for the datum on some parts."""
         self.rest[chosen], self.steep[chosen] = rest, steep
-        room = rest + margin
-        self.lower[chosen] = np.maximum(self.lower[chosen], polynomials.row_min(coefficients) - room)
-        self.upper[chosen] = np.minimum(self.upper[chosen], polynomials.row_max(coefficients) + room)
+        allowance = rest + margin
+        self.lower[chosen] = np.maximum(self.lower[chosen], polynomials.row_min(coefficients) - allowance)
+        self.upper[chosen] = np.minimum(self.upper[chosen], polynomials.row_max(coefficients) + allowance)
         self._found.append((degree, chosen, coefficients))
 
     def open(self, division: Division, parts: Parts) -> np.ndarray:

@@ -306,14 +306,14 @@ class TreeWalk:
             low, high = low.copy(), high.copy()
             for d in np.unique(degree[open_]):
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
-                values, least, most, room = self._sharp(part, int(d), cells)
+                values, least, most, allowance = self._sharp(part, int(d), cells)
                 low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
-                room = np.maximum(room, TOUCHING * scale[cells])
+                allowance = np.maximum(allowance, TOUCHING * scale[cells])
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
-                inside = (least < -room) & (most > room)
+                inside = (least < -allowance) & (most > allowance)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
-                nothing = polynomials.row_size(values) <= room
-                above, below = high[cells] > room, low[cells] < -room
+                nothing = polynomials.row_size(values) <= allowance
+                above, below = high[cells] > allowance, low[cells] < -allowance
                 unclear = (nothing & (not polynomial)) | ~(nothing | above | below) | ~np.isfinite(values).all(axis=1)
                 up[cells] = (above & ~nothing) | unclear
                 down[cells] = (below & ~nothing) | unclear

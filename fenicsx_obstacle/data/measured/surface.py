@@ -52,7 +52,7 @@ class Surface(ABC):
         """
 
     def bounds(self, corners: np.ndarray) -> SurfaceBounds:
-        """Bounds over segments or triangles, shape (simplices, corners, 2), with room for round-off."""
+        """Bounds over segments or triangles, shape (simplices, corners, 2), widened for round-off."""
         low, high, steepest, whole, covered = self.beside(corners, np.zeros(corners.shape[:2]))
         margin = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
         lower, upper = np.where(covered, low - margin, -np.inf), np.where(covered, high + margin, np.inf)
