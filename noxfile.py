@@ -41,14 +41,14 @@ def check(session: nox.Session) -> None:
 
 @nox.session
 def quick(session: nox.Session) -> None:
-    """Lint, and the quick tests on one rank, of many cases the first and the last."""
+    """Lint, and the quick tests on one rank, of many cases the first."""
     check(session)
     session.run(LAUNCHER, "--ranks", "1", "pytest", *NOT_SLOW, *ON_ALL_CORES, *session.posargs, external=True)
 
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Lint, then the quick tests, of many cases the first and the last, or with --all every test.
+    """Lint, then the quick tests, of many cases the first, or with --all every test.
 
     They run on 1 rank, then two thirds of the files on 2 ranks, and the others on 3.
 

@@ -61,7 +61,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--few", action="store_true", help="Of a test with many cases the first and the last.")
+    parser.addoption("--few", action="store_true", help="Of a test with many cases the first.")
     parser.addoption(
         "--by-file", action="store_true",
         help="The tests of those files whose name belongs to this number of ranks, of many cases the first and last.",
@@ -73,22 +73,25 @@ def ranks_of(file: Path) -> int:
     return 3 if crc32(file.name.encode()) % 3 == 0 else 2
 
 
-def first_and_last(items: list[pytest.Item]) -> set[pytest.Item]:
-    """Of each test with several cases these two, unless ranks are its subject."""
+def some_cases(items: list[pytest.Item], few: bool) -> set[pytest.Item]:
+    """Of each test with many cases the first, and unless there shall be few the last; all if ranks are its subject."""
     cases: dict[tuple[Path, str], list[pytest.Item]] = {}
     for item in items:
         cases.setdefault((item.path, getattr(item, "originalname", item.name)), []).append(item)
-    return {one for some in cases.values() for one in (some if "ranks" in some[0].keywords else (some[0], some[-1]))}
+    chosen: set[pytest.Item] = set()
+    for some in cases.values():
+        chosen.update(some if "ranks" in some[0].keywords else some[:1] if few else (some[0], some[-1]))
+    return chosen
 
 
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    by_file = config.getoption("--by-file")
-    if by_file or config.getoption("--few"):
-        kept = first_and_last([
+    by_file, few = config.getoption("--by-file"), config.getoption("--few")
+    if by_file or few:
+        kept = some_cases([
             item for item in items
             if not by_file or (ranks_of(item.path) == COMM.size and "variant" not in item.keywords)
-        ])  # fmt: skip
+        ], few)  # fmt: skip
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = [item for item in items if item in kept]
     if COMM.size > 1:
