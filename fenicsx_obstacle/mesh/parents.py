@@ -39,20 +39,23 @@ def inherited(
     """
     dim, own = mesh.topology.dim, own_cells(mesh)
     old_facets, new_facets = cell_facets(mesh)[:own], cell_facets(new)
-    found: dict[Name, np.ndarray] = {}
-    for name, facets in named.items():
-        flags = np.zeros(old_facets.max(initial=-1) + 1, dtype=bool)
-        flags[facets[facets < len(flags)]] = True
-        marked = flags[old_facets]
-        for _ in range(times):
-            within = facets_within(CHILDREN[dim][0])
-            marked = (marked[:, within] & (within >= 0)).reshape(-1, dim + 1)
-        # nearly all cells lie inside: look at the children of those that have such a facet only
-        children = np.flatnonzero(marked.any(axis=1)[parents])
-        within = facets_within(places[children])
-        there = np.take_along_axis(marked[parents[children]], np.maximum(within, 0), axis=1) & (within >= 0)
-        found[name] = np.unique(new_facets[children][there]).astype(np.int32)
-    return found
+    flags = np.zeros((len(named), old_facets.max(initial=-1) + 1), dtype=bool)
+    for row, facets in zip(flags, named.values(), strict=True):
+        row[facets[facets < len(row)]] = True
+    # nearly all cells lie inside: follow the others only
+    near = np.flatnonzero(flags.any(axis=0)[old_facets].any(axis=1))
+    marked, within = flags[:, old_facets[near]], facets_within(CHILDREN[dim][0])
+    for _ in range(times):
+        children = (marked[:, :, within] & (within >= 0)).reshape(len(named), len(near) * len(within), dim + 1)
+        outer = children.any(axis=(0, 2))
+        near, marked = (len(within) * near[:, None] + np.arange(len(within))).ravel()[outer], children[:, outer]
+    row_of = np.full(own * len(within) ** times, -1)
+    row_of[near] = np.arange(len(near))
+    cells = np.flatnonzero(row_of[parents] >= 0)
+    within = facets_within(places[cells])
+    there = np.take_along_axis(marked[:, row_of[parents[cells]]], np.maximum(within, 0)[None], axis=2) & (within >= 0)
+    facets = new_facets[cells]
+    return {name: np.unique(facets[some]).astype(np.int32) for name, some in zip(named, there, strict=True)}
 
 
 def facets_within(places: np.ndarray) -> np.ndarray:

@@ -13,18 +13,12 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.parallel import total
 
 
-def without_cell(V: fem.FunctionSpace) -> np.ndarray:
-    """Whether no local cell has a local node (local)."""
-    found = np.ones(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
-    found[releases.cell_dofs(V)] = False
-    return found
-
-
-def _lost(V: fem.FunctionSpace) -> np.ndarray | None:
+def lost_nodes(V: fem.FunctionSpace) -> np.ndarray | None:
     """Local nodes that no local cell has; None if there are none on any rank, as on one rank (collective)."""
     if V.mesh.comm.size == 1:
         return None
-    lost = without_cell(V)
+    lost = np.ones(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
+    lost[releases.cell_dofs(V)] = False
     return lost if total(V.mesh.comm, lost) > 0 else None
 
 
@@ -32,7 +26,7 @@ def share(u: fem.Function) -> None:
     """Give all ranks the owner's value of each dof; of a dof that no cell of its owner has, a value of the ranks whose
     cells have it (collective)."""
     V = u.function_space
-    nodes = _lost(V)
+    nodes = lost_nodes(V)
     if nodes is not None:
         lost = np.repeat(nodes, V.dofmap.index_map_bs)
         there = fem.Function(V)
@@ -50,7 +44,7 @@ def points_of_nodes(V: fem.FunctionSpace) -> np.ndarray:
         points = V.mesh.geometry.x[releases.dof_nodes(V)]
     else:
         points = V.tabulate_dof_coordinates()
-    lost = _lost(V)
+    lost = lost_nodes(V)
     if lost is not None:
         for k, coordinate in enumerate(points.T):
             known = fem.Function(V)
