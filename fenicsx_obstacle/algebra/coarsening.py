@@ -110,7 +110,7 @@ def first_keys(A: PETSc.Mat, x: np.ndarray) -> np.ndarray:
         A: Stiffness matrix.
         x: Coordinates of owned nodes, shape (nodes, 3).
     """
-    starts, columns, _ = A.getValuesCSR()
+    starts, columns = A.getValuesCSR()[:2]  # the values would stay
     ghosts = Ghosts(A, columns, of_rows=True)
     comm = A.comm.tompi4py()
     low = np.array([smallest(comm, column) for column in x.T])
@@ -160,7 +160,7 @@ def coarsen(A: PETSc.Mat, nodes: Nodes, loops: Kernels, comm: MPI.Comm) -> tuple
     Returns:
         The interpolation, and the coarse nodes, each on the rank of the node that it is.
     """
-    starts, columns, _ = A.getValuesCSR()
+    starts, columns = A.getValuesCSR()[:2]  # the values would stay
     ghosts = Ghosts(A, columns, of_rows=True)
     places = ghosts.local(columns)
     chosen = independent(starts.astype(np.int64), places, nodes.key + nodes.kind, ghosts, loops, comm)
@@ -186,7 +186,7 @@ def _interpolation(
 ) -> PETSc.Mat:
     """The matrix P, whose pattern is part of that of the candidates (collective)."""
     own = len(number)
-    starts, columns, _ = candidates.getValuesCSR()
+    starts, columns = candidates.getValuesCSR()[:2]
     ghosts = Ghosts(candidates, columns, of_rows=False)
     coarse = np.stack([ghosts.extended(x) for x in nodes.x[kept].T], axis=1)
     fixed = nodes.kind == FIXED
