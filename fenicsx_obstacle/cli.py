@@ -10,7 +10,7 @@ import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
 from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
-from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.errors import WRONG, InputError
 
 
 class _Ordered(click.Group):
@@ -40,6 +40,7 @@ def commands() -> None:
 @click.option("--of", "goal", metavar="NAME", help="The tolerance is for this: energy, force, or a name of [report].")
 @click.option("--budget", metavar="LIMIT", help="With a tolerance: a limit such as 60s, 8GB or '1e6 unknowns'.")
 @click.option("--uncertainty", is_flag=True, help="Estimate the error of each value from two coarser meshes.")
+@click.option("--verify", is_flag=True, help="Check the solution against its discrete problem; status 3 if it fails.")
 @click.option("--restart", type=Place(), metavar="DIR", help="With [time]: continue from the state in this folder.")
 @options(*CHANGES, "yardstick", "plugin", "output", "json", "quiet", "log")
 def solve(
@@ -52,6 +53,7 @@ def solve(
     goal: str | None,
     budget: str | None,
     uncertainty: bool,
+    verify: bool,
     restart: Path | None,
     yardstick: bool,
     output: Path | None,
@@ -72,6 +74,8 @@ def solve(
     from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import report_answer
 
+    if verify and scene.time is not None:
+        raise InputError(f"{scene.source}: [time]: --verify checks equilibria, not steps in time")
     folder = output or Path("out") / scene.name
     check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
@@ -80,11 +84,16 @@ def solve(
             restart=restart, keep=folder if scene.time is not None else None, uncertainty=uncertainty,
         )  # fmt: skip
         answer.save(folder)
+        checked = answer.verify() if verify else None
         answer, drawn = report_answer(answer, folder, picture=picture, newton=newton, started=STARTED)
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
         tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} has all results")
+    if checked is not None:
+        tell(str(checked))
+        if not checked:
+            return WRONG
     return tolerance_status(answer.record, folder)
 
 

@@ -10,6 +10,8 @@ from fenicsx_obstacle.text import counted, printable
 
 LOST_OUTPUT = 1
 """Exit status where standard output could not be written: the disk is full, or the reader has closed its pipe."""
+WRONG = 3
+"""Exit status where a check of an answer found it wrong."""
 NOT_REACHED = 4
 """Exit status where an answer is saved, but a budget did not allow its tolerance."""
 

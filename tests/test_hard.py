@@ -13,9 +13,10 @@ from fenicsx_obstacle import InputError, solve
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.check.finding import violated
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
 from tests.hard.cases import FOLDER, Case, case, cases, named
-from tests.hard.invariants import beside_inequality, falling, of_one, same, violated
+from tests.hard.invariants import beside_inequality, falling, of_one, same
 from tests.hard.judge import METHODS, judge, take
 from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT

@@ -9,10 +9,11 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.effects.effect import find, known
 from tests.conftest import COMM, membrane, slow_except
 from tests.hard.cases import case, cases
-from tests.hard.invariants import beside_inequality, of_one, same, violated
+from tests.hard.invariants import beside_inequality, of_one, same
 from tests.hard.judge import judge, take
 from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import RIGHT

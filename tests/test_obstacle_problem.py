@@ -552,9 +552,9 @@ def test_without_scenes(tmp_path):
     ("given", "words"),
     [
         ({"method": "newton"}, "method = 'newton': expected penalty, successive or vi"),
-        ({"rtol": 2.0}, "rtol = 2: expected a number between 0 and 1"),
-        ({"rtol": "1e-9"}, "rtol = '1e-9': expected a number between 0 and 1"),
-        ({"rtol": None}, "rtol = None: expected a number between 0 and 1"),
+        ({"rtol": 0.02}, "rtol = 0.02: expected a number between 0 and 0.01"),
+        ({"rtol": "1e-9"}, "rtol = '1e-9': expected a number between 0 and 0.01"),
+        ({"rtol": None}, "rtol = None: expected a number between 0 and 0.01"),
     ],
 )
 def test_mistakes_in_a_solve(given, words):

@@ -200,6 +200,8 @@ def test_steps_do_not_depend_on_the_size(how):
     ("given", "words"),
     [
         ({"lower": 1.0, "upper": 0.0}, "lower is above upper at 3 rows"),
+        ({"lower": np.inf, "upper": np.inf}, "lower is inf at 3 rows"),
+        ({"upper": -1e20}, "upper is -inf at 3 rows"),
         ({"weights": [1.0, 0.0, 1.0]}, "weights: must be positive at 1 row"),
         ({"f": [1.0, np.nan, 1.0]}, "f: holds values that are not finite"),
         ({"f": [1.0, 2.0]}, "f: expected a number, or an array of 3 numbers"),

@@ -167,12 +167,14 @@ def moved_by(problem: System, active: np.ndarray, forces: np.ndarray) -> float |
 
     Infinite where even a direct solver finds none: A is singular to round-off. None where no direct solver was tried.
     """
+    diagonal = problem.A.getDiagonal()
     problem.matrices.add_penalty_diagonal(problem.A, np.where(active != 0, np.inf, 0.0))
     x, b = problem.A.createVecs()
     b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)
     done = solved(problem.dofs, problem.A, b, x)
     most = largest(problem.comm, np.abs(x.array_r))
-    for vector in (x, b):
+    problem.A.setDiagonal(diagonal)  # the stopping test of the next solve reads it
+    for vector in (x, b, diagonal):
         vector.destroy()
     if done:
         return most

@@ -206,6 +206,8 @@ def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
     wrong = {
         "A: no diagonal entry (take an explicit 0 where u is given)": ~_diagonal_entries(A),
         "weights: must be positive": weights <= 0,
+        "lower is inf": np.isposinf(low),
+        "upper is -inf": np.isneginf(high),
         "lower is above upper": low > high,
         "given values are not between the bounds": fixed & ((given < low) | (given > high)),
         "A: must be positive definite, but the diagonal is not positive": ~(diagonal.array_r > 0) & ~fixed,

@@ -384,14 +384,18 @@ class System:
             vector.destroy()
         return found
 
-    def active_dofs(self, active: np.ndarray) -> np.ndarray:
-        """Dofs on which contact at these points of I acts."""
+    def from_points(self, values: np.ndarray) -> np.ndarray:
+        """The transpose of `at_points`: forces at points of I as forces at dofs."""
         if self.to_points is None:
-            return active
+            return values
         x, y = self.to_points.createVecs()
-        y.array[:] = active
+        y.array[:] = values
         self.to_points.multTranspose(y, x)
-        found = x.array > 0
+        found = x.array.copy()
         for vector in (x, y):
             vector.destroy()
         return found
+
+    def active_dofs(self, active: np.ndarray) -> np.ndarray:
+        """Dofs on which contact at these points of I acts."""
+        return active if self.to_points is None else self.from_points(active) > 0

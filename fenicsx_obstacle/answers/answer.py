@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
+from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.problems.solution import Files, Solution
 from fenicsx_obstacle.scenes.scene import Scene
@@ -22,6 +23,7 @@ from fenicsx_obstacle.text import one_line
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
+    from fenicsx_obstacle.check.finding import Verification
     from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows
 
@@ -69,6 +71,26 @@ class Answer(Solution):
             fields, time = fields.plain.with_values(self.level.comm.bcast(frames[0].fields)), {**time, "t": t}
         title = f"{self.title}, {one_line(time['name'])} = {time['t']:.4g}"
         return replace(self, fields=fields, record={**self.record, "title": title, "time": time})
+
+    def verify(self) -> Verification:
+        """As that of `Solution`, with the scene's data on the mesh of the answer (collective).
+
+        Raises:
+            InputError: For a scene with [time].
+        """
+        scene = self.scene
+        if scene.time is not None:
+            raise InputError(f"{scene.source}: [time]: verify checks equilibria, not steps in time")
+        if scene.model.vector_valued:  # late imports: only if requested
+            from fenicsx_obstacle.mesh.levels import with_parts
+            from fenicsx_obstacle.scenes.bodies import Body
+
+            return Body(scene.model, with_parts(self.level.scalar, self.level)).verify(self)
+        from fenicsx_obstacle.check.verification import verify
+        from fenicsx_obstacle.data.data import Data
+        from fenicsx_obstacle.discrete.problem import Problem
+
+        return verify(Problem(Data(scene.model, self.level)), self)
 
     def files(
         self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]

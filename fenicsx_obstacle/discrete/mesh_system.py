@@ -104,6 +104,16 @@ class MeshSystem(System):
         q.x.scatter_forward()
         return q
 
+    def points_of(self, q: fem.Function) -> np.ndarray:
+        """The values at owned points of I of a function of Q_h, the inverse of `in_q` (collective)."""
+        level = self.level
+        if level.Q is level.V or not level.pair.nodal:
+            return q.x.array[: len(self.weights)].copy()
+        everywhere = np.zeros(level.V.dofmap.index_map.size_local + level.V.dofmap.index_map.num_ghosts)
+        middles = releases.cell_dofs(level.V)[:, -releases.cell_dofs(level.Q).shape[1] :]
+        everywhere[middles.ravel()] = q.x.array[releases.cell_dofs(level.Q).ravel()]
+        return everywhere[: self.owned]
+
     def pressures(self, p: np.ndarray) -> fem.Function:
         """The same of pressures, whose Q_h may have more nodes (collective)."""
         return self.in_q(p)

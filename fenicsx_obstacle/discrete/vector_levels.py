@@ -99,7 +99,7 @@ def coarse_vector_problems(problem: System) -> list[System]:
     normal[contact.dofs[contact.dofs < own]] = True
     turned = total(comm, len(contact.turned)) > 0
     reflection = contact.rotation(problem.matrices.stiffness) if turned else None
-    while len(nodes.key) and finer.dofs > bs * COARSEST[nodes.dim]:
+    while finer.dofs > bs * COARSEST[nodes.dim]:
         graph = _graph(finer.matrices.stiffness, bs)
         nodal, nodes = coarsen(graph, nodes, loops, comm)
         graph.destroy()

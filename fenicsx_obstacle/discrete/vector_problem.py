@@ -153,6 +153,13 @@ class VectorProblem(BodySystem, Problem):
     def in_q(self, values: np.ndarray) -> fem.Function:
         return self._of_nodes(self._at_nodes(values))
 
+    def points_of(self, q: fem.Function) -> np.ndarray:
+        contact, everywhere = self.data.contact, fem.Function(self.level.V)
+        at_nodes = np.zeros(len(everywhere.x.array) // self.level.components)
+        at_nodes[self.level.node_of] = q.x.array
+        everywhere.x.array[contact.dofs] = at_nodes[contact.nodes]
+        return everywhere.x.array[: self.owned].copy()
+
     def pressures(self, p: np.ndarray) -> fem.Function:
         return self._of_nodes(self.data.contact.extended(self._at_nodes(p), self.level.V))
 

@@ -306,7 +306,7 @@ def over(level: Level) -> Level:
 def with_parts(level: Level, other: Level) -> Level:
     """The spaces of a level with the named parts and the size of the cells of another one on the same mesh."""
     found = replace(level, h=other.h, facets=other.facets, groups=other.groups, shape=other.shape,
-                    remarks=other.remarks)  # fmt: skip
+                    remarks=other.remarks, bent=other.bent, to_cad=other.to_cad)  # fmt: skip
     return found.given(V=level.V, Q=level.Q)
 
 

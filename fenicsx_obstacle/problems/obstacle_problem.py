@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numbers
 import time
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
@@ -20,7 +21,7 @@ from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.penalty_parameter import NoPositiveDiagonal
-from fenicsx_obstacle.algebra.stopping import TOLERANCE, Step, StepMonitor
+from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE, Step, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.model import Model, Part
@@ -62,6 +63,7 @@ from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
+    from fenicsx_obstacle.check.finding import Verification
     from fenicsx_obstacle.estimation.bound import Estimator
     from fenicsx_obstacle.problems.vector_valued import VonMises
 
@@ -316,7 +318,7 @@ class ObstacleProblem:
             method: "penalty"; "vi", the variational inequality by SNES VI, without eps; or "successive", the iteration
                 (3.4)* of Kikuchi's paper, which starts without contact.
             rtol: The solver stops when the sum of unbalanced forces, divided by the sum of acting forces, is below this
-                number.
+                number, which is less than 0.01.
             bound: Also compute a bound of the energy error. This needs a problem made from a Scene.
             monitor: A function that is called on all ranks with the number of each Newton step and its `Step`.
 
@@ -357,16 +359,35 @@ class ObstacleProblem:
             von_mises = None if self._von_mises is None else self._von_mises.now()
             fields, more = vector_fields(problem, state.contact, fields, von_mises)
             record["contact"] |= more
-        return Solution(fields, history, record, certified, tension)
+        return Solution(fields, history, record, certified, tension, _problem=weakref.ref(self))
+
+    def verify(self, solution: Solution) -> Verification:
+        """Check a solution of this problem, for the data as they are now (collective).
+
+        Balance of forces, given values, obstacles, the law of the penalty or (3.20), and contact set, area and forces
+        are computed anew. Small linear symmetric problems with contact at nodes are solved once more, by active sets
+        and a direct solver.
+
+        Returns:
+            The findings. It is true if all hold, and prints as a table.
+
+        Raises:
+            InputError: If the solution is of another mesh or element, or data are invalid.
+        """
+        from fenicsx_obstacle.check.verification import verify  # only if requested
+
+        check_not_moved(self.level, self._vertices, self.name)
+        with releases.compiled_with(*self._compiled):
+            return verify(self._problem, solution)
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
         """Solve, into u (collective)."""
         garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
         check_not_moved(self.level, self._vertices, self.name)
         options = SolverOptions(method, source=f"{self.name}:")
-        if not isinstance(rtol, numbers.Real) or isinstance(rtol, bool) or not 0 < rtol < 1:
+        if not isinstance(rtol, numbers.Real) or isinstance(rtol, bool) or not 0 < rtol < ON_THE_WAY:
             given = f"{rtol:g}" if isinstance(rtol, numbers.Real) else shown(rtol)
-            raise InputError(f"{self.name}: rtol = {given}: expected a number between 0 and 1")
+            raise InputError(f"{self.name}: rtol = {given}: expected a number between 0 and {ON_THE_WAY:g}")
         value = number_of(eps, self.name)
         if monitor is not None and not callable(monitor):
             raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
 from pathlib import Path
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
+    from fenicsx_obstacle.check.finding import Verification
     from fenicsx_obstacle.estimation.bound import Bound
     from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows
@@ -58,6 +59,7 @@ class Solution:
     record: Mapping[str, Any] = field(repr=False)
     bound: Bound | None = None
     tension: Any = field(default=None, repr=False)
+    _problem: Callable[[], Any] | None = field(default=None, repr=False)  # that exists as long as its owner keeps it
 
     def __repr__(self) -> str:
         r = self.record
@@ -306,6 +308,21 @@ class Solution:
     def _known_tension(self) -> Any:
         """The tension in UFL, or None (first use is collective)."""
         return self.tension
+
+    def verify(self) -> Verification:
+        """Check the solution against its problem, whose data are taken as they are now: balance of forces, obstacles,
+        pressure, contact; small linear problems are solved again by another method (collective).
+
+        Returns:
+            The findings. It is true if all hold, and prints as a table.
+
+        Raises:
+            InputError: If the problem does not exist any more, or was one in time.
+        """
+        problem = None if self._problem is None else self._problem()
+        if problem is None:
+            raise InputError("verify: the problem of this solution does not exist any more: keep its ObstacleProblem")
+        return problem.verify(self)
 
     def summary(self) -> str:
         """The main values in a few lines of text."""

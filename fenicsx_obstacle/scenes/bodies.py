@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import ufl
@@ -34,6 +34,9 @@ from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.solution import Solution
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.check.finding import Verification
 
 MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
 MAX_SHARE = 0.2  # of the longest side of the body: displacements are small
@@ -263,6 +266,13 @@ class Body:
         solution = solve() if self.pressing is None else self._pressed(self.pressing, solve)
         self._check_small(solution)
         return solution
+
+    def verify(self, solution: Solution) -> Verification:
+        """Check a solution, with an obstacle that has a force where the solution found it (collective)."""
+        if self.pressing is not None:
+            self.pressing.travel.value = solution.record["contact"]["approach"]
+            self.place()
+        return self.problem.verify(solution)
 
     def _solved(self, eps: Any, method: str) -> Solution:
         with self._naming_parts():

@@ -17,11 +17,12 @@ from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.cost_plots import drawings
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.study import Say
-from fenicsx_obstacle.show.tables import columns, duration, megabytes
+from fenicsx_obstacle.show.tables import duration, megabytes
 from fenicsx_obstacle.studies import price
 from fenicsx_obstacle.studies.cost import CostStudy, Row
 from fenicsx_obstacle.studies.price import NORMS, TOLERANCES, Rows
 from fenicsx_obstacle.studies.rows import RowStore
+from fenicsx_obstacle.text import columns
 
 LINE = "{:14} {:>9} {:>8} {:>8} {:>7}  " + " ".join(["{:>8}"] * len(NORMS)) + "  {:>5} {:>5} {:>5}"
 HEADS = ["choice", "unknowns", "eps", "seconds", "MB", *NORMS, "DoA", "DoS", "DoE"]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from fenicsx_obstacle.problems.summary import lookup, with_uncertainty
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.orders import Vary, along, figures_of, last_part, line_of, order, parameter, quantities
-from fenicsx_obstacle.text import counted, short
+from fenicsx_obstacle.text import columns, counted, short
 
 _COST = (
     ("newton_iterations", "Newton", "d"),
@@ -114,12 +114,6 @@ def list_scenes() -> str:
         assert tables.exact is not None
         rows.append((name, tables.title, tables.exact.free, tables.exact.regularity))
     return "\n".join(columns(rows))
-
-
-def columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """The lines of a table of words, each column as wide as its longest cell."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def duration(value: float) -> str:

@@ -15,11 +15,11 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.bodies import BodyContext
+from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding
 from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 
 SOLVED = 1e-8  # relative: how far solves are from the discrete solution

@@ -13,8 +13,6 @@ chosen. Where a theorem needs what an operator has not, the figure is given and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -22,48 +20,9 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.parallel import largest, total
 from tests.hard.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One invariant of one answer; the same on every rank.
-
-    Attributes:
-        name: In a few words.
-        statement: Of the theory.
-        observed: What is measured.
-        limit: What it may be at most.
-        claimed: Whether the hypotheses hold here; without them nothing is violated.
-    """
-
-    name: str
-    statement: str
-    observed: float
-    limit: float
-    claimed: bool = True
-
-    @property
-    def held(self) -> bool:
-        """False also where the figure is not a number."""
-        return not self.claimed or bool(self.observed <= self.limit)
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """As JSON takes it."""
-        figures = {key: value if np.isfinite(value) else None for key, value in
-                   (("observed", self.observed), ("limit", self.limit))}  # fmt: skip
-        return {**vars(self), **figures, "held": self.held}
-
-    def __str__(self) -> str:
-        verdict = "held" if self.held else "VIOLATED"
-        return f"{self.name} ({self.statement}): {self.observed:.3g}, at most {self.limit:.3g}: {verdict}"
-
-
-def violated(findings: Sequence[Finding]) -> list[Finding]:
-    """Those that should hold and do not."""
-    return [finding for finding in findings if not finding.held]
 
 
 def of_one(s: Solved) -> list[Finding]:

@@ -16,10 +16,11 @@ from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.algebra.plausibility import NO_SOLUTION
 from fenicsx_obstacle.algebra.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding, beside_inequality, falling, of_one, same
+from tests.hard.invariants import beside_inequality, falling, of_one, same
 from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 from tests.hard.solved import EPSILON, ReferenceProblem, Solved
 from tests.hard.units import Units, all_units

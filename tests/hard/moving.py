@@ -14,12 +14,13 @@ from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.algebra.vi import residual_pressure
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.data.time_discretization import INERTIA
 from fenicsx_obstacle.effects.field import fields_in
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding, of_one
+from tests.hard.invariants import of_one
 from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 from tests.hard.solved import ReferenceProblem, Solved
 

@@ -12,10 +12,11 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.parallel import gathered
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard import bodies
-from tests.hard.invariants import Finding, energy_round_off
+from tests.hard.invariants import energy_round_off
 from tests.hard.judge import METHODS, TRIAL, take
 from tests.hard.solved import ReferenceProblem
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.check.finding import Finding, violated
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.invariants import Finding, violated
 
 RIGHT, REJECTED, FAILED = "right", "rejected", "FAILED"
 FLOOR = "limit of round-off"  # words of the refusal

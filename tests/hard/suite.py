@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.launcher import environment
 from tests.hard.cases import Case
-from tests.hard.invariants import violated
 from tests.hard.judge import METHODS, TRIAL
 from tests.hard.ranks import agree_on
 from tests.hard.row import FAILED, RIGHT, Row

@@ -1,0 +1,120 @@
+"""An own solution of small problems: primal-dual active sets with the sparse direct solver of SciPy, on rank 0.
+
+Nothing of the solvers is used but the matrix, the load, the weights and the obstacles.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.parallel import on_root
+
+LARGEST = 20_000  # unknowns
+STEPS = 100
+
+
+class Distance(NamedTuple):
+    """How far a state is from the solution of active sets.
+
+    Attributes:
+        apart: In the energy norm.
+        reach: What the unbalanced forces explain: the root of |r|' A^-1 |r|.
+        stiffness: Root of the sum of A_ii over free dofs: what a change by 1 at each node may be in the energy norm.
+    """
+
+    apart: float
+    reach: float
+    stiffness: float
+
+
+class Arrays(NamedTuple):
+    """Of all dofs, in the order of their global numbers."""
+
+    A: sparse.csr_matrix
+    u: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    load: np.ndarray
+    weights: np.ndarray
+    fixed: np.ndarray
+    unbalanced: np.ndarray
+
+
+def distance(system: System, eps: float | None, unbalanced: np.ndarray) -> Distance | None:
+    """The distance of the state of a small linear symmetric problem with contact at dofs from its solution; None of
+    other problems, of one that contact alone holds, and where active sets do not settle (collective).
+
+    Args:
+        system: Holds the state.
+        eps: Penalty parameter; None for the inequality.
+        unbalanced: Absolute values of the unbalanced forces at owned dofs, with their round-off.
+    """
+    linear = system.affine and system.symmetric and system.has_energy
+    if not linear or not system.nodal or system.floating or system.dofs > LARGEST:
+        return None
+    comm, u_values = system.comm, system.u
+    u_values[system.fixed] = system.given[system.fixed]
+    lower, upper = (np.broadcast_to(side, len(u_values)) for side in system.obstacles())
+    weights = np.where(system.touchable, system.weights, 0.0)
+    owned = u_values, lower, upper, -system.matrices.minus_load.array_r, weights, system.fixed, unbalanced
+    A, parts = _gathered_matrix(system.matrices.stiffness), [_gathered(comm, values) for values in owned]
+    return on_root(comm, lambda: _distance(Arrays(A, *parts), eps))
+
+
+def _distance(of: Arrays, eps: float | None) -> Distance | None:
+    """On rank 0."""
+    free, held = np.flatnonzero(~of.fixed), np.flatnonzero(of.fixed)
+    A, forces = of.A[free][:, free].tocsc(), of.load[free] - of.A[free][:, held] @ of.u[held]
+    w = _active_sets(of, A, forces, free, eps)
+    if w is None:
+        return None
+    e, left = of.u[free] - w, of.unbalanced[free]
+    reach = np.sqrt(np.abs(left @ splu(A).solve(left))) if len(free) else 0.0
+    return Distance(float(np.sqrt(max(e @ (A @ e), 0.0))), float(reach), float(np.sqrt(A.diagonal().sum())))
+
+
+def _active_sets(
+    of: Arrays, A: sparse.csc_matrix, forces: np.ndarray, free: np.ndarray, eps: float | None
+) -> np.ndarray | None:
+    """u at free dofs: sets of nodes at or beyond an obstacle, from those of the state, until they repeat."""
+    D, low, high, w = of.weights[free], of.lower[free], of.upper[free], of.u[free]
+    beside = D > 0
+    at_low, at_high = beside & (w <= low), beside & (w >= high) & ~(w <= low)
+    for _ in range(STEPS):
+        active = at_low | at_high
+        g = np.where(at_low, low, np.where(at_high, high, 0.0))
+        if eps is None:
+            inner, w = np.flatnonzero(~active), g
+            if len(inner):
+                w[inner] = splu(A[inner][:, inner].tocsc()).solve(forces[inner] - (A @ g)[inner])
+            push = np.where(active, A @ w - forces, 0.0)
+            new_low, new_high = np.where(at_low, push > 0, w < low), np.where(at_high, push < 0, w > high)
+        else:
+            spring = np.where(active, D / eps, 0.0)
+            w = splu((A + sparse.diags(spring)).tocsc()).solve(forces + spring * g)
+            new_low, new_high = w < low, w > high
+        old, at_low, at_high = (at_low, at_high), beside & new_low, beside & new_high
+        if np.array_equal(at_low, old[0]) and np.array_equal(at_high, old[1]):
+            return w
+    return None
+
+
+def _gathered(comm: MPI.Comm, owned: np.ndarray) -> np.ndarray:
+    """Owned values of all ranks, on rank 0; those of the rank on others (collective)."""
+    parts = comm.gather(owned)
+    return owned if parts is None else np.concatenate(parts)
+
+
+def _gathered_matrix(A: PETSc.Mat) -> sparse.csr_matrix | None:
+    """A distributed matrix, on rank 0 (collective)."""
+    parts, size = A.comm.tompi4py().gather(A.getValuesCSR()), A.getSize()[1]
+    if parts is None:
+        return None
+    return sparse.vstack([sparse.csr_matrix((v, c, s), shape=(len(s) - 1, size)) for s, c, v in parts]).tocsr()
