@@ -114,7 +114,7 @@ def first_keys(A: PETSc.Mat, x: np.ndarray) -> np.ndarray:
     ghosts = Ghosts(A, columns, of_rows=True)
     comm = A.comm.tompi4py()
     low = np.array([smallest(comm, column) for column in x.T])
-    size = max(largest(comm, column - start) for column, start in zip(x.T, low, strict=True))
+    size = max(largest(comm, column - start) for column, start in zip(x.T, low, strict=True)) or 1.0  # all at one place
     own = hashed(*np.ascontiguousarray(np.round((x - low).T * (GRID / size))))
     around = ghosts.extended(own)[ghosts.local(columns)]
     ghosts.free()

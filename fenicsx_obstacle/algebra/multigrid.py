@@ -64,7 +64,7 @@ class Multigrid:
         self._moves.array[:] = ~((penalty_diagonal > STIFFER * matrices.diagonal) | self.problem.fixed)
         if self.coarser is None:
             return
-        self._shift(penalty_diagonal)
+        self._sum_rows(penalty_diagonal)
         self._whole.multTranspose(self._row_sums, self._carried)
         self.coarser.truncate(self._coarse_penalty_diagonal())
         self._whole.copy(self.P, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
@@ -76,13 +76,13 @@ class Multigrid:
         coarse = self.coarser
         held = self._transfer.inject((self._moves.array_r == 0).astype(float)) > 0
         coarse._moves.array[:] = ~(held | coarse.problem.fixed)
-        coarse._shift()
+        coarse._sum_rows()
         penalty_diagonal = np.maximum(self._carried.array_r - coarse._row_sums.array_r, 0.0)
         penalty_diagonal[held] = np.inf
         penalty_diagonal[coarse.problem.fixed] = 0.0
         return penalty_diagonal
 
-    def _shift(self, penalty_diagonal: np.ndarray | None = None) -> None:
+    def _sum_rows(self, penalty_diagonal: np.ndarray | None = None) -> None:
         """Compute the row sums of stiffness and penalty diagonal over nodes that are not fixed."""
         self.problem.matrices.stiffness.mult(self._moves, self._row_sums)
         if penalty_diagonal is not None:

@@ -1,4 +1,4 @@
-"""Stopping test: active set unchanged, and unbalanced forces small relative to the acting forces.
+"""Stopping test: unbalanced forces small relative to the acting forces; of (3.4)* also the active set unchanged.
 
 PETSc's own tests compare with the first residual, which for a small eps is ~ 1/eps and makes anything look small.
 Here the unbalanced force, summed over the free nodes, is compared with the forces that act: load, supports, contact.
@@ -66,7 +66,7 @@ StepMonitor = Callable[[System, Step, np.ndarray], None]
 
 @dataclass
 class Stopping:
-    """PETSc convergence test: active set unchanged, and forces in balance.
+    """PETSc convergence test: forces in balance, and a state that the data determine.
 
     Attributes:
         problem: What is solved.

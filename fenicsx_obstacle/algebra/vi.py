@@ -38,7 +38,7 @@ def solve_vi(
         multigrid: Preconditioner; by default algebraic multigrid.
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces to stop at.
-        patience: Steps to take at most, for affine problems.
+        patience: Steps to take at most in one attempt.
         monitor: Called after each step.
 
     Returns:
