@@ -101,7 +101,7 @@ class SystemSolution:
         pressure: p, the contact force by weight; >= 0 at the lower bound, <= 0 at the upper one. Of the dimension of
             f/weights.
         contact: -1 at rows that press against the lower bound, 1 at the upper one, 0 elsewhere.
-        eps: The penalty parameter, in units of u/p; None with the method vi.
+        eps: The penalty parameter, in units of u/p; None with the method vi, and without bounds.
         iterations: Newton steps on the finest level.
         krylov: Linear iterations there.
         levels: Number of unknowns of each level, the coarsest first.
@@ -152,7 +152,7 @@ def solve_system(
             linear elements, or of finite differences. By default there are no coarse levels.
         method: "penalty", "successive" or "vi".
         eps: Penalty parameter in units of u/p, or "auto": a hundredth of the median of D_i/A_ii, lowered if u
-            penetrates by more than 1 % of its range.
+            penetrates by more than 1 % of its range, or where it does not fit the stiffness at the solution.
         comm: Communicator of a matrix that is not PETSc's.
 
     Returns:

@@ -193,8 +193,7 @@ class Stopping:
         round-off is half of epsilon.
         """
         stiffness = self._stiffness()
-        w = self.problem.w[: len(stiffness)]
-        return EPSILON * total(self.problem.comm, np.dot(stiffness, np.abs(w)))
+        return EPSILON * total(self.problem.comm, np.dot(stiffness, np.abs(self.problem.w)))
 
     @cached_property
     def _nothing(self) -> float:

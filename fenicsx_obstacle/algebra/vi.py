@@ -18,6 +18,7 @@ from fenicsx_obstacle.errors import InputError
 # without descent PETSc's line search fails, or takes round-off for a minimum of its merit function
 LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
+AT_BOUND = 1e-12  # of the range of u: nearer than this a node is at its bound
 NEAR = 1e-6  # the same contact, but for nodes that press very little
 VI = {**NEWTON, "snes_type": "vinewtonrsls"}
 
@@ -112,7 +113,7 @@ def _attempt(problem: System, how: dict[str, Any], multigrid: Multigrid | None, 
     lower.array[~problem.touchable], upper.array[~problem.touchable] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.set_state(x)
-    touching = 1e-12 * problem.range_of_u()
+    touching = AT_BOUND * problem.range_of_u()
     options = {**options, "snes_vi_zero_tolerance": touching}
     stopping = Stopping(problem, exact_bounds=True, touching=touching, **how)
     outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
@@ -129,6 +130,6 @@ def residual_pressure(problem: System) -> np.ndarray:
     """
     lower, upper = problem.gaps()
     p = np.where(problem.touchable, problem.elastic.array_r, 0.0) / np.where(problem.touchable, problem.weights, 1.0)
-    tolerance = 1e-12 * problem.range_of_u()
+    tolerance = AT_BOUND * problem.range_of_u()
     held = ((lower <= tolerance) & (p > 0)) | ((upper <= tolerance) & (p < 0))
     return np.where(held, p, 0.0)

@@ -12,6 +12,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.algebra.vi import AT_BOUND
 from fenicsx_obstacle.check.finding import Finding, Verification
 from fenicsx_obstacle.check.reference import Distance, distance
 from fenicsx_obstacle.discrete.problem import Problem
@@ -21,8 +22,7 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 
 EPSILON = float(np.finfo(float).eps)
 ROUNDED = 8 * EPSILON  # of the sum of the absolute values of what is added
-TOUCHING = 1e-12  # of the range of u: nearer than this SNES VI takes a node to be at its bound
-BY_MEANS = 1e-8  # the same for contact that is not at nodes
+BY_MEANS = 1e-8  # of the range of u: as `AT_BOUND`, for contact that is not at nodes
 SAME = 1e-9  # relative: areas and forces of one pressure
 
 
@@ -124,7 +124,7 @@ def _obstacles(s: State) -> list[Finding]:
     problem, comm = s.problem, s.problem.comm
     if not problem.constrained:
         return []
-    at = TOUCHING if problem.nodal else BY_MEANS
+    at = AT_BOUND if problem.nodal else BY_MEANS
     beyond = np.maximum(-s.below, 0.0) - np.maximum(-s.above, 0.0)
     if s.eps is None:
         most = max(largest(comm, np.abs(beyond)[problem.touchable]), 0.0)
