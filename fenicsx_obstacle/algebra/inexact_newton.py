@@ -36,6 +36,7 @@ class Inexact:
     cold_start: bool = False
     _least: int = 1
     _target: float = 0.0
+    _last: bool = False  # the system is most likely the last
 
     def __call__(self, ksp: PETSc.KSP, iteration: int, norm: float) -> int:
         """PETSc's callback (collective)."""
@@ -46,9 +47,14 @@ class Inexact:
         if iteration < self._least:
             return CONTINUE
         residual = ksp.buildResidual()
-        left = residual.norm(PETSc.NormType.N1)
+        done = residual.norm(PETSc.NormType.N1) <= self._target
+        if done and self._last:  # in the scale of `Stopping._settled` too
+            diagonal = ksp.getOperators()[0].getDiagonal()
+            residual.pointwiseDivide(residual, diagonal)
+            done = residual.norm(PETSc.NormType.N1) <= 0.5 * self.stopping.invisible()
+            diagonal.destroy()
         residual.destroy()
-        return SOLVED if left <= self._target else CONTINUE
+        return SOLVED if done else CONTINUE
 
     def _aim(self) -> tuple[int, float]:
         """The least number of CG steps, and the tolerance of the residual force (collective)."""
@@ -58,6 +64,8 @@ class Inexact:
         if not stopping.exact and (step.changed > FEW * step.active or first):
             forces = max(one.forces for one in stopping.history[-2:]) if self.cold_start else step.forces
             # the first step of CG only reduces the residual of nodes that have just come into contact
+            self._last = False
             return 2, ON_THE_WAY * min(step.unbalanced, forces)
+        self._last = stopping.row_by_row and not stopping.exact  # which solves to the end
         enough = 0.0 if stopping.exact else TO_SPARE * stopping.tolerance * step.forces
         return 1, max(enough, EXACT * step.unbalanced, stopping.round_off())

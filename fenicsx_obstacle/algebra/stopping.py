@@ -25,13 +25,14 @@ from fenicsx_obstacle.algebra.data_scales import (
     stiffness_of,
 )
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, total
 
 _log = logging.getLogger(__name__)
 TOLERANCE = 1e-10  # unbalanced force / acting forces
 # the same on coarse levels, whose discretisation error is larger by far: a state is a start then, and is not judged
 ON_THE_WAY = 1e-2
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
+INVISIBLE = 1e-6  # of the range of u
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
@@ -106,7 +107,9 @@ class Stopping:
         problem = self.problem
         comm = problem.comm
         elastic = problem.elastic.array_r
-        active, unbalanced = self._active(elastic)
+        active, residual = self._unbalanced(elastic)
+        unbalanced = total(comm, np.abs(residual))
+        del residual  # memory
         changed = active != self.before if self.before is not None else active != 0
         forces = problem.load + total(comm, np.abs(elastic[problem.fixed | problem.active_dofs(active != 0)]))
         krylov = snes.getLinearSolveIterations()
@@ -131,7 +134,7 @@ class Stopping:
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= max(self.tolerance * forces, floor)
+        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._settled(elastic)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
@@ -157,8 +160,8 @@ class Stopping:
         """Go on with another SNES, which counts its iterations from 0."""
         self._krylov = 0
 
-    def _active(self, elastic: np.ndarray) -> tuple[np.ndarray, float]:
-        """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced force (collective)."""
+    def _unbalanced(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced forces."""
         problem = self.problem
         lower, upper = problem.gaps() if self.exact_bounds else problem.pressed_gaps()
         if self.exact_bounds:
@@ -171,7 +174,31 @@ class Stopping:
         residual[problem.fixed] = 0.0
         active = above.astype(np.int8) - below.astype(np.int8)
         active[~problem.touchable] = 0
-        return active, total(problem.comm, np.abs(residual))
+        return active, residual
+
+    def _settled(self, elastic: np.ndarray) -> bool:
+        """Whether the unbalanced forces move u by no more than `INVISIBLE` of its range, in the sum of |r_i|/A_ii
+        (collective).
+
+        Forces of one part, such as those of a stiff layer or spring, may exceed those of all others by so much that
+        the balance of their sum says nothing of these.
+        """
+        if not self.row_by_row:
+            return True
+        problem = self.problem
+        stiffness = self._stiffness()
+        residual, w = np.abs(self._unbalanced(elastic)[1]), np.abs(problem.w)
+        moved = np.divide(residual, stiffness, out=np.zeros(len(w)), where=stiffness > 0)
+        return total(problem.comm, moved) <= self.invisible() + ROUNDOFF_MARGIN * EPSILON * total(problem.comm, w)
+
+    @property
+    def row_by_row(self) -> bool:
+        """Whether forces are judged beside the stiffness of their nodes, too."""
+        return self.tolerance < ON_THE_WAY and self.problem.affine and self.problem.nodal
+
+    def invisible(self) -> float:
+        """A displacement that nobody sees (collective)."""
+        return INVISIBLE * (self.problem.range_of_u() + max(largest(self.problem.comm, np.abs(self.problem.w)), 0.0))
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
         """Whether the active set has changed; nodes whose contact force is round-off are not counted."""

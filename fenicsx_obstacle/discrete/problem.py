@@ -16,6 +16,8 @@ from fenicsx_obstacle.effects.effect import of_model_problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import total
 
+MEANINGLESS_LOAD = 1e3  # times the forces at the start: such a load is one that has no part in the solution
+
 
 class Problem(MeshSystem):
     """A model on one mesh, checked and ready for a solver; forms compile once, whatever eps.
@@ -128,6 +130,23 @@ class Problem(MeshSystem):
         self.state.share_all()
         self.law.set_reference()
         return self._forces()
+
+    def judge_load(self) -> None:
+        """Where F(0) is no measure of the forces that act, as of ln(u) or 1/u, take the load of the tangent of F at the
+        present u, F'(u) u - F(u)."""
+        if self.affine:
+            return
+        x, residual = self.vector(), self.law.vector()
+        self.residual(x, residual, penalised=False)
+        elastic = self.elastic.array_r
+        if not self.load <= MEANINGLESS_LOAD * total(self.comm, np.abs(elastic)):
+            A = self.jacobian(x, penalised=False)
+            x.array[:] = self.u
+            A.mult(x, residual)
+            load = total(self.comm, np.abs(residual.array_r - elastic)[~self.fixed])
+            self.load = load if np.isfinite(load) else 0.0
+        for vector in (x, residual):
+            vector.destroy()
 
     def _forces(self) -> float:
         """Sum of |a(u, .) - f| over free dofs at the present u."""

@@ -373,7 +373,13 @@ def obstacle(g: Any, u: fem.Function, place: str) -> Field:
             f"{place} depends on u: an obstacle must not depend on the solution; for a fixed-point iteration "
             "use a copy, u.copy()"
         )
-    return field(g, place)
+    found = field(g, place)
+    if found.moves:
+        raise InputError(
+            f"{place}: the callable takes two arguments: it gets x alone, an array of shape (3, n), whose rows are "
+            "the coordinates x[0], x[1], x[2]"
+        )
+    return found
 
 
 def check_measure(measure: ufl.Measure | ufl.Integral, mesh: dmesh.Mesh, place: str) -> None:

@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +56,7 @@ from fenicsx_obstacle.problems.input_checks import (
     warn_of_indefinite,
 )
 from fenicsx_obstacle.problems.record import record_of
-from fenicsx_obstacle.problems.residual_form import ResidualForm
+from fenicsx_obstacle.problems.residual_form import ResidualForm, by_one_rule
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.problems.solve import Solved, solve
 from fenicsx_obstacle.problems.values import Seconds
@@ -184,6 +185,8 @@ class ObstacleProblem:
                 check_tagged(form, mesh, f"{name}: {key}")
         warn_of_conditions(held, mesh.comm, name)
         residual = ResidualForm(F=F, u=u, functional=energy, J=J)
+        if residual.affine:
+            residual = replace(residual, F=by_one_rule(F))
         if not isinstance(petsc_options_prefix, str):
             raise InputError(f"{name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
         checked_options(form_compiler_options, f"{name}: form_compiler_options", "{'scalar_type': 'float64'}")
@@ -476,6 +479,7 @@ class ObstacleProblem:
             return
         start = np.where(problem.fixed, problem.given, self.u.x.array[: problem.owned])
         problem.set_reference(problem.between(start))
+        problem.judge_load()
 
     def _bounds(self) -> Estimator:
         """Bounds of the energy error (collective).

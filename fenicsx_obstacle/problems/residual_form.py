@@ -10,17 +10,18 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
-from ufl.algorithms import extract_coefficients
+from ufl.algorithms import compute_form_data, extract_coefficients
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
 from ufl.algorithms.apply_derivatives import apply_derivatives
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
-from ufl.classes import Abs, Condition, MaxValue, MinValue
+from ufl.classes import Abs, Condition, Division, Jacobian, MathFunction, MaxValue, MinValue, Power
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.effects.effect import Elastic
 
 _NOT_SMOOTH = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
+_NO_POLYNOMIAL = (*_NOT_SMOOTH, Division, MathFunction, Power)
 ROUND_OFF = 1e-12
 
 
@@ -97,6 +98,39 @@ class ResidualForm(Elastic):
         # F(u; v) = a(u, v) - f(v), so that a(u, u)/2 - f(u) = (F(u; u) + F(0; u))/2
         zero = fem.Constant(data.level.mesh, np.zeros(self.u.ufl_shape, dtype=PETSc.ScalarType))
         return 0.5 * (self.terms(u, u, data) + self.terms(zero, u, data))
+
+
+def by_one_rule(F: ufl.Form) -> ufl.Form:
+    """F with the quadrature degrees that UFL chooses for it.
+
+    A and f of F = A u - f are forms of their own, for which it may choose others: with a coefficient that jumps inside
+    cells A u - f would not be F.
+    """
+    inexact = any(isinstance(node, _NO_POLYNOMIAL) for integral in expanded(F).integrals()
+                  for node in unique_pre_traversal(integral.integrand()))  # fmt: skip
+    if not inexact:
+        return F
+    chosen = compute_form_data(
+        F, do_apply_function_pullbacks=True, do_apply_integral_scaling=True, do_apply_geometry_lowering=True,
+        preserve_geometry_types=(Jacobian,), do_append_everywhere_integrals=False,
+    )  # fmt: skip
+    degrees: dict[tuple[str, Any], int] = {}
+    for group in chosen.integral_data:
+        ids = group.subdomain_id if isinstance(group.subdomain_id, tuple) else (group.subdomain_id,)
+        for integral in group.integrals:
+            if "quadrature_degree" not in integral.metadata():
+                degree = int(np.max(integral.metadata()["estimated_polynomial_degree"]))
+                degrees |= {(group.integral_type, one): degree for one in ids}
+
+    def ruled(integral: ufl.Integral) -> ufl.Integral:
+        one = integral.subdomain_id()
+        key = integral.integral_type(), "otherwise" if one == "everywhere" else one
+        given = integral.metadata()
+        if "quadrature_degree" in given or key not in degrees:
+            return integral
+        return integral.reconstruct(metadata={**given, "quadrature_degree": degrees[key]})
+
+    return ufl.Form([ruled(integral) for integral in F.integrals()])
 
 
 def expanded(form: ufl.Form) -> ufl.Form:
