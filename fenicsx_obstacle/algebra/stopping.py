@@ -33,6 +33,7 @@ TOLERANCE = 1e-10  # unbalanced force / acting forces
 ON_THE_WAY = 1e-2
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
 INVISIBLE = 1e-6  # of the range of u
+NEARLY_ONE_NUMBER = 1e-2  # of |u|: a range below it
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
@@ -187,18 +188,15 @@ class Stopping:
             return True
         problem = self.problem
         stiffness = self._stiffness()
-        residual, w = np.abs(self._unbalanced(elastic)[1]), np.abs(problem.w)
-        moved = np.divide(residual, stiffness, out=np.zeros(len(w)), where=stiffness > 0)
-        return total(problem.comm, moved) <= self.invisible() + ROUNDOFF_MARGIN * EPSILON * total(problem.comm, w)
+        residual = np.abs(self._unbalanced(elastic)[1])
+        moved = np.divide(residual, stiffness, out=np.zeros(len(residual)), where=stiffness > 0)
+        rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
+        return total(problem.comm, moved) <= invisible(problem) + rounded
 
     @property
     def row_by_row(self) -> bool:
         """Whether forces are judged beside the stiffness of their nodes, too."""
         return self.tolerance < ON_THE_WAY and self.problem.affine and self.problem.nodal
-
-    def invisible(self) -> float:
-        """A displacement that nobody sees (collective)."""
-        return INVISIBLE * (self.problem.range_of_u() + max(largest(self.problem.comm, np.abs(self.problem.w)), 0.0))
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
         """Whether the active set has changed; nodes whose contact force is round-off are not counted."""
@@ -237,6 +235,15 @@ class Stopping:
         key = tuple(digests)
         self._seen[key] = self._seen.get(key, 0) + 1
         return self._seen[key] > 1
+
+
+def invisible(problem: System) -> float:
+    """A displacement that nobody sees, in the unit of u: a part of its range, or a smaller one of a u that is one
+    number (collective)."""
+    comm = problem.comm
+    sizes = (largest(comm, np.abs(values)) for values in (problem.w, problem.u))
+    moved, size = (max(value, 0.0) for value in sizes)
+    return INVISIBLE * max(problem.range_of_u() + moved, NEARLY_ONE_NUMBER * size)
 
 
 def in_words(reason: int) -> str:

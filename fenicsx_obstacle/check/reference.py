@@ -25,7 +25,7 @@ class Distance(NamedTuple):
 
     Attributes:
         apart: In the energy norm.
-        reach: What the unbalanced forces explain: the root of |r|' A^-1 |r|.
+        reach: What the unbalanced forces r and their round-off explain: the root of r' A^-1 r.
         stiffness: Root of the sum of A_ii over free dofs: what a change by 1 at each node may be in the energy norm.
     """
 
@@ -45,16 +45,18 @@ class Arrays(NamedTuple):
     weights: np.ndarray
     fixed: np.ndarray
     unbalanced: np.ndarray
+    noise: np.ndarray
 
 
-def distance(system: System, eps: float | None, unbalanced: np.ndarray) -> Distance | None:
+def distance(system: System, eps: float | None, unbalanced: np.ndarray, noise: np.ndarray) -> Distance | None:
     """The distance of the state of a small linear symmetric problem with contact at dofs from its solution; None of
     other problems, of one that contact alone holds, and where active sets do not settle (collective).
 
     Args:
         system: Holds the state.
         eps: Penalty parameter; None for the inequality.
-        unbalanced: Absolute values of the unbalanced forces at owned dofs, with their round-off.
+        unbalanced: The unbalanced forces at owned dofs.
+        noise: Their round-off, >= 0.
     """
     linear = system.affine and system.symmetric and system.has_energy
     if not linear or not system.nodal or system.floating or system.dofs > LARGEST:
@@ -63,7 +65,7 @@ def distance(system: System, eps: float | None, unbalanced: np.ndarray) -> Dista
     u_values[system.fixed] = system.given[system.fixed]
     lower, upper = (np.broadcast_to(side, len(u_values)) for side in system.obstacles())
     weights = np.where(system.touchable, system.weights, 0.0)
-    owned = u_values, lower, upper, -system.matrices.minus_load.array_r, weights, system.fixed, unbalanced
+    owned = u_values, lower, upper, -system.matrices.minus_load.array_r, weights, system.fixed, unbalanced, noise
     A, parts = _gathered_matrix(system.matrices.stiffness), [_gathered(comm, values) for values in owned]
     return on_root(comm, lambda: _distance(Arrays(A, *parts), eps))
 
@@ -75,8 +77,8 @@ def _distance(of: Arrays, eps: float | None) -> Distance | None:
     w = _active_sets(of, A, forces, free, eps)
     if w is None:
         return None
-    e, left = of.u[free] - w, of.unbalanced[free]
-    reach = np.sqrt(np.abs(left @ splu(A).solve(left))) if len(free) else 0.0
+    e, solve = of.u[free] - w, splu(A).solve if len(free) else (lambda forces: forces)
+    reach = sum(np.sqrt(np.abs(left @ solve(left))) for left in (of.unbalanced[free], 2 * of.noise[free]))
     return Distance(float(np.sqrt(max(e @ (A @ e), 0.0))), float(reach), float(np.sqrt(A.diagonal().sum())))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, invisible
 from fenicsx_obstacle.algebra.vi import AT_BOUND
 from fenicsx_obstacle.check.finding import Finding, Verification
 from fenicsx_obstacle.check.reference import Distance, distance
@@ -37,6 +37,7 @@ class State:
         above: upper - u, inf without one.
         unbalanced: a(u, .) - f - I(p, .); 0 where u is given.
         noise: Round-off of it, >= 0.
+        stiffness: A_ii, with the penalty in contact; that of u where it is given.
         forces: Sum of the acting forces: load, support reactions, contact.
         size: Largest |u| and |given value|.
         range: Largest minus smallest value of u, and at least the round-off of u.
@@ -68,9 +69,12 @@ class State:
         free, elastic = ~problem.fixed, problem.elastic.array_r
         self.unbalanced = np.where(free, elastic - push, 0.0)
         self.forces = problem.load + total(comm, np.abs(elastic[problem.fixed])) + total(comm, np.abs(pressing))
-        size = _absolute(problem.jacobian(x, penalised=False), np.abs(problem.w) + np.abs(problem.state.r))
+        A = problem.jacobian(x, penalised=False)
+        diagonal = A.getDiagonal()
+        self.stiffness = diagonal.array_r + (0.0 if self.eps is None else _penalty_stiffness(problem, self.p, self.eps))
+        size = _absolute(A, np.abs(problem.w) + np.abs(problem.state.r))
         self.noise = np.where(free, ROUNDED * (size + pushing), 0.0)
-        for vector in (x, out):
+        for vector in (x, out, diagonal):
             vector.destroy()
         self.size = max(largest(comm, np.abs(u_values)), largest(comm, np.abs(problem.given[problem.fixed])), 0.0)
         span = largest(comm, self.u) - smallest(comm, self.u)
@@ -90,6 +94,11 @@ def _absolute(A: PETSc.Mat, values: np.ndarray) -> np.ndarray:
     return found
 
 
+def _penalty_stiffness(problem: Problem, p: np.ndarray, eps: float) -> np.ndarray:
+    """D_i/eps at dofs in contact, 0 elsewhere."""
+    return problem.from_points(np.where(p != 0, problem.weights, 0.0)) / eps
+
+
 def verify(problem: Problem, solution: Any) -> Verification:
     """Check a solution (collective).
 
@@ -101,8 +110,8 @@ def verify(problem: Problem, solution: Any) -> Verification:
         InputError: If the solution is of another mesh or element, or of a step in time.
     """
     state = State(problem, solution)
-    found = [*_values(state), *_obstacles(state), _balance(state), *_contact(state, solution)]
-    known = distance(problem, state.eps, np.abs(state.unbalanced) + state.noise)
+    found = [*_values(state), *_obstacles(state), *_balance(state), *_contact(state, solution)]
+    known = distance(problem, state.eps, state.unbalanced, state.noise)
     if known is not None:
         found.append(_same(state, known))
     return Verification(tuple(found))
@@ -140,11 +149,22 @@ def _obstacles(s: State) -> list[Finding]:
                          (at * s.range + ROUNDED * s.size) * s.forces)]  # fmt: skip
 
 
-def _balance(s: State) -> Finding:
-    """(3.4), or (3.10) of the inequality: a(u, v) - f(v) = I(p, v) for all v of V_h."""
-    comm = s.problem.comm
-    return Finding("forces at nodes balance", "(3.4)", total(comm, np.abs(s.unbalanced)),
-                   TOLERANCE * s.forces + total(comm, s.noise))  # fmt: skip
+def _balance(s: State) -> list[Finding]:
+    """(3.4), or (3.10) of the inequality: a(u, v) - f(v) = I(p, v) for all v of V_h.
+
+    In the sum, and beside the stiffness of each node: forces of a stiff part may outweigh all others.
+    """
+    comm, problem = s.problem.comm, s.problem
+    unbalanced = np.abs(s.unbalanced)
+    moved, rounded = (np.divide(part, s.stiffness, out=np.zeros(len(part)), where=s.stiffness > 0)
+                      for part in (unbalanced, s.noise))  # fmt: skip
+    return [
+        Finding("forces at nodes balance", "(3.4)", total(comm, unbalanced),
+                TOLERANCE * s.forces + total(comm, s.noise)),
+        Finding("forces that are left move u", "(3.4)", total(comm, moved),
+                invisible(problem) + total(comm, rounded) + ROUNDED * total(comm, np.abs(s.u)),
+                problem.affine and problem.nodal),
+    ]  # fmt: skip
 
 
 def _contact(s: State, solution: Any) -> list[Finding]:
@@ -163,6 +183,6 @@ def _contact(s: State, solution: Any) -> list[Finding]:
 
 
 def _same(s: State, known: Distance) -> Finding:
-    """(3.4) and (3.19) have one solution: |r|' A^-1 |r| bounds the square of the distance in the energy norm."""
+    """(3.4) and (3.19) have one solution: r' A^-1 r bounds the square of the distance in the energy norm."""
     slip = ROUNDED * s.size * known.stiffness
     return Finding("u of active sets and a direct solver", "unique", known.apart, known.reach + slip)
