@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.stopping import Stopping, invisible
+from fenicsx_obstacle.algebra.stopping import INVISIBLE, Stopping, invisible
 
 ON_THE_WAY = 0.1  # of the unbalanced force: more accuracy finds no better active set
 FEW = 2e-4  # of the contact nodes that change: the next system is most likely the last
@@ -51,8 +51,11 @@ class Inexact:
         if done and self._last:  # in the scale of `Stopping._settled` too
             diagonal = ksp.getOperators()[0].getDiagonal()
             residual.pointwiseDivide(residual, diagonal)
-            done = residual.norm(PETSc.NormType.N1) <= 0.5 * invisible(self.stopping.problem)
-            diagonal.destroy()
+            step = ksp.buildSolution()  # u may be one number as yet
+            moved = INVISIBLE * step.norm(PETSc.NormType.INFINITY)
+            done = residual.norm(PETSc.NormType.N1) <= 0.5 * max(invisible(self.stopping.problem), moved)
+            for vector in (diagonal, step):
+                vector.destroy()
         residual.destroy()
         return SOLVED if done else CONTINUE
 

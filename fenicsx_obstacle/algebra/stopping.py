@@ -187,11 +187,13 @@ class Stopping:
         if not self.row_by_row:
             return True
         problem = self.problem
-        stiffness = self._stiffness()
-        residual = np.abs(self._unbalanced(elastic)[1])
-        moved = np.divide(residual, stiffness, out=np.zeros(len(residual)), where=stiffness > 0)
+        stiffness, moved = self._stiffness(), self._unbalanced(elastic)[1]  # in place: they are large
+        moved[stiffness <= 0] = 0.0
+        np.abs(np.divide(moved, stiffness, out=moved, where=stiffness > 0), out=moved)
+        left = total(problem.comm, moved)
+        del stiffness, moved
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        return total(problem.comm, moved) <= invisible(problem) + rounded
+        return left <= invisible(problem) + rounded
 
     @property
     def row_by_row(self) -> bool:
