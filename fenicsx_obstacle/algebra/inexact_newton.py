@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.stopping import INVISIBLE, Stopping, invisible
+from fenicsx_obstacle.algebra.stopping import SMALL_CORRECTION, Stopping, small_correction
 
 ON_THE_WAY = 0.1  # of the unbalanced force: more accuracy finds no better active set
 FEW = 2e-4  # of the contact nodes that change: the next system is most likely the last
@@ -48,12 +48,12 @@ class Inexact:
             return CONTINUE
         residual = ksp.buildResidual()
         done = residual.norm(PETSc.NormType.N1) <= self._target
-        if done and self._last:  # in the scale of `Stopping._settled` too
+        if done and self._last:  # in the scale of `Stopping._small_correction` too
             diagonal = ksp.getOperators()[0].getDiagonal()
             residual.pointwiseDivide(residual, diagonal)
-            step = ksp.buildSolution()  # u may be one number as yet
-            moved = INVISIBLE * step.norm(PETSc.NormType.INFINITY)
-            done = residual.norm(PETSc.NormType.N1) <= 0.5 * max(invisible(self.stopping.problem), moved)
+            step = ksp.buildSolution()  # the range of the state may still be 0
+            moved = SMALL_CORRECTION * step.norm(PETSc.NormType.INFINITY)
+            done = residual.norm(PETSc.NormType.N1) <= 0.5 * max(small_correction(self.stopping.problem), moved)
             for vector in (diagonal, step):
                 vector.destroy()
         residual.destroy()

@@ -32,8 +32,8 @@ TOLERANCE = 1e-10  # unbalanced force / acting forces
 # the same on coarse levels, whose discretisation error is larger by far: a state is a start then, and is not judged
 ON_THE_WAY = 1e-2
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
-INVISIBLE = 1e-6  # of the range of u
-NEARLY_ONE_NUMBER = 1e-2  # of |u|: a range below it
+SMALL_CORRECTION = 1e-6  # of the range of u: the sum of |r_i|/A_ii
+NEARLY_CONSTANT = 1e-2  # of |u|: below it the range of u is no scale
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
@@ -135,7 +135,7 @@ class Stopping:
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._settled(elastic)
+        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._small_correction(elastic)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
@@ -177,8 +177,8 @@ class Stopping:
         active[~problem.touchable] = 0
         return active, residual
 
-    def _settled(self, elastic: np.ndarray) -> bool:
-        """Whether the unbalanced forces move u by no more than `INVISIBLE` of its range, in the sum of |r_i|/A_ii
+    def _small_correction(self, elastic: np.ndarray) -> bool:
+        """Whether the correction of u by one step of Jacobi, the sum of |r_i|/A_ii, is small beside its range
         (collective).
 
         Forces of one part, such as those of a stiff layer or spring, may exceed those of all others by so much that
@@ -193,7 +193,7 @@ class Stopping:
         left = total(problem.comm, moved)
         del stiffness, moved
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        return left <= invisible(problem) + rounded
+        return left <= small_correction(problem) + rounded
 
     @property
     def row_by_row(self) -> bool:
@@ -239,13 +239,13 @@ class Stopping:
         return self._seen[key] > 1
 
 
-def invisible(problem: System) -> float:
-    """A displacement that nobody sees, in the unit of u: a part of its range, or a smaller one of a u that is one
-    number (collective)."""
+def small_correction(problem: System) -> float:
+    """The largest sum of |r_i|/A_ii of a solution, in the unit of u: a share of its range, or of |u| where u is nearly
+    constant (collective)."""
     comm = problem.comm
     sizes = (largest(comm, np.abs(values)) for values in (problem.w, problem.u))
     moved, size = (max(value, 0.0) for value in sizes)
-    return INVISIBLE * max(problem.range_of_u() + moved, NEARLY_ONE_NUMBER * size)
+    return SMALL_CORRECTION * max(problem.range_of_u() + moved, NEARLY_CONSTANT * size)
 
 
 def in_words(reason: int) -> str:

@@ -1,1 +1,1 @@
-"""Checks of a solution against its discrete problem, whoever has found it."""
+"""Checks of a solution against its discrete problem."""

@@ -5,16 +5,15 @@ Nothing of the solvers is used but the matrix, the load, the weights and the obs
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 from petsc4py import PETSc
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.parallel import gathered, on_root
 
 LARGEST = 20_000  # unknowns
 STEPS = 100
@@ -66,7 +65,8 @@ def distance(system: System, eps: float | None, unbalanced: np.ndarray, noise: n
     lower, upper = (np.broadcast_to(side, len(u_values)) for side in system.obstacles())
     weights = np.where(system.touchable, system.weights, 0.0)
     owned = u_values, lower, upper, -system.matrices.minus_load.array_r, weights, system.fixed, unbalanced, noise
-    A, parts = _gathered_matrix(system.matrices.stiffness), [_gathered(comm, values) for values in owned]
+    A = _gathered_matrix(system.matrices.stiffness)
+    parts: list[Any] = [gathered(comm, values) for values in owned]
     return on_root(comm, lambda: _distance(Arrays(A, *parts), eps))
 
 
@@ -106,12 +106,6 @@ def _active_sets(
         if np.array_equal(at_low, old[0]) and np.array_equal(at_high, old[1]):
             return w
     return None
-
-
-def _gathered(comm: MPI.Comm, owned: np.ndarray) -> np.ndarray:
-    """Owned values of all ranks, on rank 0; those of the rank on others (collective)."""
-    parts = comm.gather(owned)
-    return owned if parts is None else np.concatenate(parts)
 
 
 def _gathered_matrix(A: PETSc.Mat) -> sparse.csr_matrix | None:

@@ -476,9 +476,9 @@ class ObstacleProblem:
         self._data.refuse_infinite(self.u, words=f"{self.name}: u, the start,")
         if problem.floating:
             problem.set_reference(problem.cold_start())
-            return
-        start = np.where(problem.fixed, problem.given, self.u.x.array[: problem.owned])
-        problem.set_reference(problem.between(start))
+        else:
+            start = np.where(problem.fixed, problem.given, self.u.x.array[: problem.owned])
+            problem.set_reference(problem.between(start))
         problem.judge_load()
 
     def _bounds(self) -> Estimator:
