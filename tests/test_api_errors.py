@@ -161,6 +161,7 @@ def test_obstacles_that_cannot_be_taken():
         (ufl.imag(x[0]), "upper is complex: expected real values"),
         (x[0] + fem.Constant(mesh, 0.3 + 0.1j), "upper is complex: expected real values"),
         (lambda x: np.nan * x[0], "upper = <lambda>: is not a finite number"),
+        (lambda x: np.ma.masked_greater(x[0], 0.5), "upper = <lambda>: is not a finite number"),
         (float("nan"), "upper = nan: is not a finite number"),
     ]
     for g, message in cases:

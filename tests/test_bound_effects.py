@@ -85,7 +85,6 @@ def test_the_flux_is_in_balance(name):
     assert largest(COMM, np.abs(through[parts.free])) <= 1e-14 * scale
     solver = parts.size * ((parts.nodal[0] - parts.nodal[1] * u[parts.dofs]).mean(axis=1))
     assert largest(COMM, np.abs(solver - flux.force.sum(axis=1))[parts.free]) < 0.1 * scale
-    assert flux.incompatible <= 1e-9 * scale  # as far as the solver has converged
     context.close()
 
 

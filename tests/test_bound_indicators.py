@@ -1,9 +1,14 @@
 """Estimates of the error where nothing is proved: they drive adaptive meshes, and say what is missing."""
 
-import pytest
+import re
 
-from fenicsx_obstacle import Scene, solve
+import pytest
+from dolfinx import fem
+from dolfinx import mesh as dmesh
+
+from fenicsx_obstacle import InputError, Scene, releases, solve
 from tests.conftest import COMM
+from tests.helpers import mesh_of
 
 SQUARE = {"shape": "rectangle", "cells": 8, "perturb": 0.2}
 
@@ -42,3 +47,81 @@ def test_a_tolerance_is_reached(effects, missing):
     assert answer.record["adaptive"]["reached"] and path[-1] < path[0]
     assert answer.bound.words.startswith("an indicator: estimated") and missing in answer.bound.words
     assert not answer.bound.guaranteed
+
+
+LINE = {"shape": "interval", "cells": 8}
+PLANE = {"shape": "rectangle", "cells": 8}
+NOWHERE = "no function between the obstacles is known"
+BUMP = "exp(-((x - 0.4375)/0.02)^2)"
+UNPROVED = {
+    "an obstacle on a part that ends inside an edge": (
+        {"mesh": PLANE, "boundary": [{"on": ["left", "right"], "value": 0},
+                                     {"where": "y < 1e-9 and abs(x - 0.5) < 0.19", "lower": 1}]},
+        "not made of whole edges"),
+    "a part as short as its round-off is long": (
+        {"mesh": PLANE, "load": 1, "boundary": [{"where": "x == 0 or (y == 0 and abs(x - 0.5) < 4e-9)", "value": 0}]},
+        "not made of whole edges"),
+    "an obstacle without a bounded slope where u is given": (
+        {"mesh": {**LINE, "cells": 32}, "lower": "0.3*x^0.501",
+         "boundary": [{"on": "left", "value": 0}, {"on": "right", "value": 0.5}]},
+        "^certified for the sampled obstacle$"),
+    "obstacles that cross between nodes": (
+        {"mesh": LINE, "lower": f"1e7 - 1 + 1.009*{BUMP}", "upper": f"1e7 + 0.01*{BUMP}", "boundary": [{"value": 1e7}]},
+        NOWHERE),
+    "boundary values below an obstacle between nodes": (
+        {"mesh": PLANE, "lower": 0, "boundary": [{"on": "bottom", "value": "0.5*cos(16*pi*x)"},
+                                                 {"on": "top", "value": 0.5}]},
+        NOWHERE),
+    "a spring that is negative between nodes": (
+        {"mesh": {**PLANE, "y": [0, 0.1]}, "load": 1,
+         "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": "-588*y*(0.1 - y)"}]},
+        "the spring may be negative"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNPROVED)
+def test_what_is_not_proved_is_not_certified(name):
+    """Hypotheses of the theorem that no node shows; each of these errors is or may be above the bound."""
+    data, words = UNPROVED[name]
+    bound = solve(Scene(**{"tension": 1, **data}), bound=True).bound
+    assert re.search(words, bound.words) and not bound.guaranteed, bound.words
+
+
+@pytest.mark.parametrize(("least", "words"), [(1e-9, "the foundation may be negative"), (20.0, "^certified")])
+def test_a_foundation_that_is_negative_between_nodes(least, words):
+    """It is least at vertices and in the middle of cells: a Function is not searched between its samples."""
+    mesh = releases.settle(dmesh.create_unit_square(COMM, 4, 4))
+    k = fem.Function(releases.functionspace(mesh, "Lagrange", 4))
+    x = releases.called(k.function_space.element.interpolation_points)
+    s = x[:, 0] ** 2 + x[:, 1] ** 2 + (1 - x[:, 0] - x[:, 1]) ** 2
+    values = least - 60 * (1 - s) * (s - 1 / 3)
+    for dofs in releases.cell_dofs(k.function_space):
+        k.x.array[dofs] = values
+    bound = solve(Scene(mesh=mesh, tension=1, load=1, foundation=k), bound=True).bound
+    assert re.search(words, bound.words), bound.words
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e8])
+def test_what_boundary_values_are_between_nodes_counts_at_any_height(offset):
+    """u = offset + 2e-5 sin(20 x) cosh(20 y)/cosh(20): values of 1e8 are rounded by 1e-8."""
+    value = f"{offset} + 2e-5*sin(20*x)*cosh(20*y)/cosh(20)"
+    scene = Scene(mesh={**PLANE, "cells": 16}, tension=1, boundary=[{"value": value}])
+    assert solve(scene, bound=True).bound.total > 9e-5
+
+
+@pytest.mark.parametrize("value", ["1e8 + where(x < 0.53, x, x + 0.005)", "atan(1/(x - 0.503))", "atan(tan(3*x))"])
+def test_jumps_beside_large_values_and_poles(value):
+    """No u with such values has a finite energy."""
+    with pytest.raises(InputError, match="the boundary values jump at"):
+        solve(Scene(mesh=PLANE, tension=1, boundary=[{"value": value}]), bound=True)
+
+
+@pytest.mark.serial  # DOLFINx gives a vertex that parts on two ranks share, without a facet, to each of them
+@pytest.mark.parametrize("stiff", [1.0, 1e10])
+def test_parts_that_meet_in_a_vertex(stiff):
+    """P1 couples them there, the solution does not; a third part with large forces is none of their business."""
+    corners = [(0, 0), (1, 0), (0, 1), (1, 1), (2, 1), (1, 2), (2, 2), (3, 0), (4, 0), (3, 1), (4, 1)]
+    cells = [[a, b, d] for a, b, d in ((0, 1, 3), (0, 2, 3), (3, 4, 6), (3, 5, 6), (7, 8, 10), (7, 9, 10))]
+    boundary = [{"where": "x == 0", "value": 0}, {"where": "x == 2", "value": 5}, {"where": "x >= 3", "value": "x"}]
+    scene = Scene(mesh=mesh_of(corners, cells), tension=f"where(x > 2.5, {stiff}, 1)", boundary=boundary)
+    assert "meet in a vertex only" in solve(scene, bound=True).bound.words

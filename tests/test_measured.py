@@ -311,6 +311,14 @@ value = 0
     assert str(caught.value).count("\n") == 0
 
 
+def test_masked_heights():
+    """What a mask hides is no height."""
+    axis = np.linspace(0, 1, 4)
+    heights = np.ma.masked_greater(axis[:, None] + axis, 1.9)
+    with pytest.raises(InputError, match="1 of 16 values are not finite numbers: at row 4, column 4"):
+        solve(membrane(lower=Table(x=axis, y=axis, z=heights)))
+
+
 def test_an_image_needs_extents_and_range(files):
     for key, given in (("extents", {}), ("range", {"x": [0, 1], "y": [0, 1]})):
         place = in_file(files, scene_text({"file": "rough.png", **given}), f"{key}.toml")

@@ -204,6 +204,7 @@ def test_steps_do_not_depend_on_the_size(how):
         ({"upper": -1e20}, "upper is -inf at 3 rows"),
         ({"weights": [1.0, 0.0, 1.0]}, "weights: must be positive at 1 row"),
         ({"f": [1.0, np.nan, 1.0]}, "f: holds values that are not finite"),
+        ({"f": np.ma.masked_equal([1.0, 2.0, 1.0], 2.0)}, "f: holds values that are not finite"),
         ({"f": [1.0, 2.0]}, "f: expected a number, or an array of 3 numbers"),
         ({"fixed": [3], "given": 2.0}, "fixed: expected 3 flags, or numbers of owned rows from 0 to 2"),
         ({"fixed": [0], "given": 2.0, "upper": 1.0}, "given values are not between the bounds at 1 row"),

@@ -245,7 +245,8 @@ def _matrix(A: Any, comm: MPI.Comm) -> PETSc.Mat:
 
 def _array(values: Any, own: int, name: str, *, finite: bool = True) -> np.ndarray:
     try:
-        found = np.array(np.broadcast_to(np.asarray(values, dtype=float), own))
+        numbers = np.ma.filled(np.asanyarray(values, dtype=float), np.nan)  # a masked value is none
+        found = np.array(np.broadcast_to(numbers, own))
     except (TypeError, ValueError):
         raise InputError(f"{NAME} {name}: expected a number, or an array of {own} numbers") from None
     if np.isnan(found).any() or (finite and not np.isfinite(found).all()):

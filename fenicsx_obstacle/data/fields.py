@@ -124,10 +124,10 @@ class OfCallable(Field):
             return np.empty(0)
         given = (x.copy(), names.get("t", 0.0)) if self.moves else (x.copy(),)
         try:
-            values = np.asarray(self.function(*given))
+            values = np.asanyarray(self.function(*given))
             if np.iscomplexobj(values):
                 raise TypeError("complex values, where real ones are expected")
-            values = np.asarray(values, dtype=np.float64)
+            values = np.ma.filled(values.astype(np.float64), np.nan)  # a masked value is none
             return np.array(np.broadcast_to(values, x.shape[1:]))
         except Exception as error:
             got = f"{type(error).__name__}: {error}"

@@ -27,10 +27,12 @@ from dataclasses import replace
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_values import (
     DEGREE,
     NODES,
     ROUND_OFF,
+    ROUNDED,
     TO_BERNSTEIN,
     BoundaryValues,
     Facets,
@@ -52,6 +54,7 @@ HALVED = {2: 0, 3: 3}  # subdivisions of facets on which the bound of the slope 
 MIN_DEPTH = 2  # of the division of the smallest ones, along the line where a condition changes and beside it
 STEEP = 0.02  # this fraction of the slope of d
 MAX_PARTS = 100_000  # of facets; no subdivision beyond
+LOOKS = {2: 12, 3: 6}  # degree of the points of facets at which obstacles are compared with what is given
 NO_WIDTH = 1e-14  # relative to the facet: parts between two cuts that are narrower are lines, up to round-off
 
 
@@ -72,9 +75,9 @@ class BoundaryData(BoundaryValues):
         data, comm, self._dim, self._middles = simplices.data, simplices.data.level.comm, simplices.dim, middles
         nodal = data.fixed[1].x.array
         self._heights = max(largest(comm, np.abs(nodal[data.fixed[0]])), 0.0)
-        self._jumps, self._samples = Jumps(data, self._heights), 0
+        self._jumps, self._samples = Jumps(data, nodal[data.fixed[0]]), 0
         self._bounds = 3 if self._dim == 2 else 4
-        parts = self._facets(nodal)
+        self._parts = parts = self._facets(nodal)
         self._edges = SharedEdges(simplices, nodal) if self._dim == 3 else None
         if self._edges is None:
             for part in parts:
@@ -97,6 +100,17 @@ class BoundaryData(BoundaryValues):
             terms += np.bincount(part.cells, d.any(axis=1).astype(float) + (bounds[0] > 0), len(terms))
         self.leaves = terms > 1 if self._edges is None else self.deviation > 0
         self.twice = total(comm, np.count_nonzero(self.leaves)) > 0
+
+    def below(self, obstacle: Field, sign: float) -> float:
+        """By how much sign times what is given is below an obstacle at points of facets, on this rank."""
+        most, data = -np.inf, self.simplices.data
+        for part in self._parts:
+            x = polynomials.inner_points(self._dim, LOOKS[self._dim]) @ part.x
+            points, cells = np.zeros((3, x.shape[0] * x.shape[1])), np.repeat(part.cells, x.shape[1])
+            points[: self._dim] = x.reshape(-1, self._dim).T
+            gap = sign * (data.at(obstacle, points, cells) - data.at(part.value, points, cells))
+            most = max(most, float(gap[np.isfinite(gap)].max(initial=-np.inf)))
+        return most
 
     def _facets(self, nodal: np.ndarray) -> list[Facets]:
         """The facets of each part (local)."""
@@ -158,7 +172,7 @@ class BoundaryData(BoundaryValues):
                 d[:, n] = self.simplices.data.at(part.value, points, part.cells) - interpolant[:, n]
             elif np.count_nonzero(node) == 2 and self._edges is not None:
                 d[:, n] = self._edges.at_node(part, node) - interpolant[:, n]
-        d[np.abs(d) <= 8 * ROUND_OFF * self._heights] = 0.0
+        d[np.abs(d) <= ROUNDED * self._heights] = 0.0
         return d, interpolant
 
     def _groups(self, part: Facets, enough: np.ndarray) -> tuple[list[Group], np.ndarray, np.ndarray]:
@@ -220,7 +234,7 @@ class BoundaryData(BoundaryValues):
         else:
             narrowest = longest_edges(part.x)[rows] * group.share
             slope = polynomials.row_size(along[:, 1] - along[:, 0]) / narrowest
-        exact = away + group.rest <= 64 * ROUND_OFF * self._heights
+        exact = away + group.rest <= 4 * ROUND_OFF * self._heights
         unknown = ~np.isfinite(group.steep)
         self._samples += np.count_nonzero(unknown & ~exact)
         # where nothing is known of the slope the bound rests on samples
@@ -253,7 +267,7 @@ class BoundaryData(BoundaryValues):
         self._row[self._cells] = np.arange(len(self._cells))
         place, self._coefficients = places(corners), np.zeros((len(self._cells), len(NODES[corners])))
         if self._edges is not None:
-            self._edges.put(self._cells, self._coefficients, 8 * ROUND_OFF * self._heights)
+            self._edges.put(self._cells, self._coefficients, ROUNDED * self._heights)
         for part, d in found:
             there = np.flatnonzero(near[part.cells])
             for n in np.flatnonzero(inside):

@@ -12,7 +12,8 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest
 
-ROUND_OFF = 1e-14  # relative to the values of u: of a difference of a datum and what interpolates it
+ROUNDED = 4e-15  # relative to the values of u: of a difference of two of them,
+ROUND_OFF = 1e-14  # and of a datum and what interpolates it
 
 DEGREE = 4  # of interpolants of boundary values
 
@@ -99,6 +100,10 @@ class BoundaryValues:
         self.least, self.most = smallest(comm, given), largest(comm, given)
         self.deviation, self.volume, self.volume_rest = (np.zeros(len(simplices.area)) for _ in range(3))
         self.leaves = self.deviation > 0
+
+    def below(self, obstacle: Field, sign: float) -> float:
+        """By how much sign times what is given is below an obstacle between the nodes; -inf of intervals."""
+        return -np.inf
 
     def energy(self, mu: np.ndarray) -> np.ndarray:
         """Bound of ||mu^(1/2) grad||^2 of the continuation in each cell, mu being the largest tension there."""

@@ -344,7 +344,7 @@ class Tension:
 
     def known(self) -> CellDatum:
         """What is known of it, for `certification.Hypotheses`."""
-        return CellDatum("tension", self.pieces, "tension may be 0, negative, infinite or undefined", None, True)
+        return CellDatum("tension", self.pieces, "tension may be 0, negative, infinite or undefined", least=0.0)
 
     def energy_above(self, gradient: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Upper bounds of ||mu^(1/2) g||_T^2 of one vector per cell, shape (d, cells) (local).

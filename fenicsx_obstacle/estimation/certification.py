@@ -60,14 +60,14 @@ class CellDatum:
         pieces: It, on cells or facets; None of a number.
         wrong: What it may be where its bounds are not finite, in words.
         cells: The cell of each of these; None: they are the owned cells.
-        positive: Whether it must be.
+        least: A number that must be below all its values.
     """
 
     name: str
     pieces: Pieces | None
     wrong: str
     cells: np.ndarray | None = None
-    positive: bool = False
+    least: float = -np.inf
 
 
 class Hypotheses:
@@ -89,9 +89,7 @@ class Hypotheses:
             pieces = datum.pieces
             if pieces is None:
                 continue
-            bad = ~pieces.finite
-            if datum.positive:
-                bad |= pieces.lower <= 0
+            bad = ~pieces.finite | (pieces.lower <= datum.least)
             cells = np.zeros(len(simplices.area), dtype=bool)
             cells[np.flatnonzero(bad) if datum.cells is None else datum.cells[bad]] = True
             if place := self._near(cells):

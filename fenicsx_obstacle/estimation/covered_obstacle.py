@@ -33,7 +33,8 @@ class CoveredObstacle:
         cover_volume: Integral of w.
         cover_height: A bound of w.
         sampled: Whether the bound rests on samples of it, on any rank: no bounds of it are known; or it is above the
-            state beside the boundary and may jump; or, with P2, u may touch it and it may have two values at a point.
+            state beside the boundary, and may jump or be steep without limit; or, with P2, u may touch it and it may
+            have two values at a point.
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
@@ -74,9 +75,10 @@ class CoveredObstacle:
             size: Of the state.
 
         Returns:
-            Whether w may be positive somewhere on this rank.
+            Whether w may be positive on this rank where no bound of its slope is known.
         """
         simplices, count, times = self.simplices, self.simplices.dim + 1, 2**self.simplices.dim
+        known = self._field.continuous
         self.cover_volume[:] = self.cover_energy[:] = self.cover_height[:] = 0.0
         without, share = np.zeros(len(simplices.area)), np.abs(np.linalg.det(inside))  # without the boundary values
         for split in range(depth + 1):
@@ -92,6 +94,7 @@ class CoveredObstacle:
                 rows = group.rows[open_]
                 above[rows] = True
                 if last:
+                    known &= bool(np.isfinite(group.steep[open_]).all())
                     measure = simplices.area[owner[rows]] * group.share[open_] * share[rows]
                     height = np.maximum(coefficient[open_] + beyond[open_, None], 0.0)
                     np.add.at(self.cover_volume, owner[rows], measure * height.mean(axis=1))
@@ -105,7 +108,7 @@ class CoveredObstacle:
             inside, linear = polynomials.halved(inside[above]), polynomials.halved(linear[above])
         of_boundary = self.dirichlet.energy(np.ones(len(without)))
         self.cover_energy[:] = np.minimum(self.cover_energy, (np.sqrt(without) + np.sqrt(of_boundary)) ** 2)
-        return bool(above.any())
+        return bool(above.any()) and not known
 
 
 def _with_quadratics(linear: np.ndarray, u: np.ndarray, inside: np.ndarray) -> np.ndarray:

@@ -19,13 +19,15 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplices import Simplices, last_on_sides
 from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, own_cells
-from fenicsx_obstacle.parallel import first_given, largest
+from fenicsx_obstacle.parallel import first_given, largest, smallest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
 WIDER = 64  # and so many times farther from it
 KEEPS = 0.9  # of the difference is left between the two if it is a jump; if it is steep, less
-CONTINUOUS = 1e-10  # of the boundary values: a smaller difference is none
-SLIVER = 1e-8  # of the extent of the mesh: a part so short of an edge does not count
+CONTINUOUS = 1e-10  # of the range of boundary values: a smaller difference is none,
+ROUNDED = 1e-14  # nor is it one of their size
+SLIVER = 1e-8  # of the extent of the mesh: a part may reach so far beyond the facets on which it holds,
+NOTHING = 1e-12  # but by itself it may be no longer than round-off of the coordinates
 SHORT = 1e-6  # of an edge: parts where conditions are undecided, after division
 SAMPLES = 5  # on each, and on each edge
 MAX_PIECES = 20_000
@@ -66,15 +68,23 @@ class Edges:
 class Jumps:
     """The largest jump of boundary values that has been found on this rank."""
 
-    def __init__(self, data: Data, scale: float):
-        """Nothing so far.
+    def __init__(self, data: Data, nodal: np.ndarray):
+        """Nothing so far (collective).
 
         Args:
             data: Of the problem.
-            scale: Largest boundary value.
+            nodal: Boundary values at the nodes of this rank.
         """
-        self.data, self.scale = data, scale
+        self.data = data
+        self._least, self._most = np.inf, -np.inf
+        self.take(nodal)
         self.worst: tuple[float, tuple[float, float], np.ndarray, str] | None = None
+
+    def take(self, values: np.ndarray) -> None:
+        """Widen the range of boundary values, beside which differences are judged (collective)."""
+        comm, finite = self.data.level.comm, values[np.isfinite(values)]
+        self._least = min(self._least, smallest(comm, finite))
+        self._most = max(self._most, largest(comm, finite))
 
     def look(self, field: Field, edges: Edges, ends: np.ndarray) -> None:
         """Compare values on both sides wherever conditions change, and at the ends with the nodal values (collective).
@@ -92,8 +102,7 @@ class Jumps:
                 self._judge(field, (value, ends[:, k]), (value, ends[:, k]), edges.at(every, np.full(count, k)))
             return
         for t in np.linspace(0, 1, SAMPLES + 2)[1:-1]:  # all nodal values may be 0
-            values = np.abs(self._values(field, edges, every, np.full(count, t)))
-            self.scale = max(self.scale, largest(self.data.level.comm, values[np.isfinite(values)]))
+            self.take(self._values(field, edges, every, np.full(count, t)))
         near = self._finest(edges)
         for k, direction in ((0, 1.0), (1, -1.0)):
             inside = [self._values(field, edges, every, k + direction * s * near) for s in (1, WIDER)]
@@ -187,12 +196,12 @@ class Jumps:
         return which, low, high
 
     def _cut(self, field: Field, edges: Edges, which: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Whether a condition is undecided in part of an edge, or a value may be infinite there."""
+        """Whether a condition is undecided in part of an edge, or a value or its slope may be infinite there."""
         known = self.data.here(field).over(edges.pieces(which, low, high), self.data.names(field), edges.cells[which])
         if known is None:
             return np.zeros(len(which), dtype=bool)
         bounds = known.once()
-        return ~(bounds.whole & bounds.finite)
+        return ~(bounds.whole & bounds.finite & np.isfinite(bounds.derivative(1)))
 
     def _finest(self, edges: Edges) -> np.ndarray:
         """The distance from a jump at which values are compared, relative to each edge."""
@@ -214,7 +223,8 @@ class Jumps:
         """Keep the largest difference that does not vanish as the distance does."""
         small, large = (np.abs(pair[0] - pair[1]) for pair in (close, far))
         varies = np.abs(close[0] - far[0]) + np.abs(close[1] - far[1])  # on either side
-        jumps = (small > CONTINUOUS * self.scale) & (small >= KEEPS * large) & (small >= varies)
+        none = max(CONTINUOUS * (self._most - self._least), ROUNDED * max(self._most, -self._least, 0.0))
+        jumps = (small > none) & (small >= KEEPS * large) & (small >= varies)
         jumps |= ~np.isfinite(small)
         if not jumps.any():
             return
@@ -236,7 +246,7 @@ def boundary_jump(data: Data) -> str | None:
     values, near = given.x.array, _cells_beside(level.mesh, np.concatenate([*data.held, np.empty(0, dtype=np.int32)]))
     dofs, x = releases.cell_dofs(level.V)[near], corners(level.mesh, near)
     part_of = last_on_sides(cell_facets(level.mesh)[near], data.held)
-    jumps = Jumps(data, max(largest(level.comm, np.abs(values[fixed])), 0.0))
+    jumps = Jumps(data, values[fixed])
     for number, part in enumerate(data.model.boundary):
         if part.value is not None:
             rows, side = np.nonzero(part_of == number)
@@ -257,8 +267,7 @@ def _cells_beside(mesh: dmesh.Mesh, facets: np.ndarray) -> np.ndarray:
 
 
 def cut_parts(simplices: Simplices) -> list[str]:
-    """The parts with a value, a flux or a spring whose `where` ends inside a facet, or holds on other facets than those
-    taken (collective).
+    """The parts whose `where` ends inside a facet, or holds on other facets than those taken (collective).
 
     On meshes that are not the domain itself a facet whose vertices are all on the part is not looked at: the boundary
     lies beside it.
@@ -275,12 +284,14 @@ def cut_parts(simplices: Simplices) -> list[str]:
     members = np.array(facet_vertices(dim))[opposite]
     x = simplices.x[cells[:, None], members]
     middle = x.mean(axis=1, keepdims=True)
-    short = np.minimum(SLIVER * extent / np.linalg.norm(x - middle, axis=2).max(axis=1, initial=0.0), 0.5)
-    inside = x + short[:, None, None] * (middle - x)
+    size = np.linalg.norm(x - middle, axis=2).max(axis=1, initial=0.0)[:, None]
     for number, part in enumerate(data.model.boundary):
-        if part.where is None or (part.value is None and not data.model.acts(number)):
+        if part.where is None:
             continue
         held = np.isin(simplices.facets[cells, opposite], data.facets[number])
+        beside = np.isin(simplices.dofs[cells[:, None], members], data.dofs_on(data.facets[number]))
+        short = np.minimum(np.where(beside, SLIVER, NOTHING) * extent / size, 0.5)
+        inside = x + short[..., None] * (middle - x)
         known = part.where.over(inside, {}, cells)
         if known is None:
             found.append(

@@ -27,7 +27,8 @@ from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
 
-CROSSING = 1e-9  # relative to the values of u: obstacles that cross each other by less do so by round-off,
+CROSSING = 1e-9  # relative to the range of u: obstacles that cross each other by less do so by what their bounds lack,
+ROUNDED = 1e-12  # relative to its values: by round-off,
 UNDERFLOW = 1e-290  # or where all are 0: intervals are rounded outward by 1e-300
 
 
@@ -118,6 +119,10 @@ class Element(ABC):
         self.friedrichs = constant if self.friedrichs_known else 2 * float(self.held.sides.max()) / sqrt(least)
         self._ranges = {sign: self._range(obstacle) for sign, obstacle in obstacles_of(self.simplices.data)}
         self.reach = self._reach()
+        comm, obstacles = self.simplices.data.level.comm, obstacles_of(self.simplices.data)
+        self._below = max(
+            (largest(comm, np.array([self.dirichlet.below(one, s)])) for s, one in obstacles), default=0.0
+        )
 
     def _friedrichs(self) -> float:
         """The constant, infinite where none is known (collective)."""
@@ -191,18 +196,19 @@ class Element(ABC):
         return self.dirichlet.energy(self.tension.most)
 
     def crossing(self, beyond: Sequence[float], v: np.ndarray) -> float:
-        """By how much obstacles may be beyond the final v, 0 if that may be round-off: then v is in K, (E14)
-        (collective).
+        """By how much obstacles may be beyond the final v, or are beyond what is given, 0 if that may be round-off:
+        then v is in K, (E14) (collective).
 
         Args:
             beyond: The same of each obstacle, but where it is covered: of two only one may be.
             v: Values of v.
         """
         comm, covers = self.simplices.data.level.comm, [obstacle.cover_height for obstacle in self.obstacles]
-        most = max(beyond, default=0.0)
+        most = max([*beyond, self._below], default=0.0)
         if len(covers) == 2:
             most = max(most, largest(comm, np.minimum(*covers)))
-        limit = CROSSING * largest(comm, np.abs(v)) + UNDERFLOW
+        high, low = largest(comm, v), smallest(comm, v)
+        limit = CROSSING * (high - low) + ROUNDED * max(high, -low) + UNDERFLOW
         return most if most > limit else 0.0
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:

@@ -12,12 +12,15 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.axial_flux import AxialFlux
 from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
-from fenicsx_obstacle.estimation.element import Element, Terms
+from fenicsx_obstacle.estimation.element import UNDERFLOW, Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
+from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest, smallest, total
+
+NEGATIVE = 1e-9  # of the largest value: round-off below 0
 
 
 class ElementP1(Element):
@@ -109,10 +112,18 @@ class ElementP1(Element):
     def data_in_cells(self) -> list[CellDatum]:
         """See `Element.data_in_cells`."""
         pieces, parts = self.equilibration.reaction.pieces, self.equilibration.parts
-        found = [CellDatum("foundation", pieces, "foundation may be infinite or undefined")]
-        for name, pieces in zip(("flux", "spring"), parts.pieces, strict=False):
-            found.append(CellDatum(name, pieces, f"{name} may be infinite or undefined", parts.cells))
+        found = [self._not_negative("foundation", pieces)]
+        if parts.pieces:
+            flux, springs = parts.pieces
+            found.append(CellDatum("flux", flux, "flux may be infinite or undefined", parts.cells))
+            found.append(self._not_negative("spring", springs, parts.cells))
         return [*super().data_in_cells(), *found]
+
+    def _not_negative(self, name: str, pieces: Pieces | None, cells: np.ndarray | None = None) -> CellDatum:
+        """A datum that must not be negative but for round-off (collective)."""
+        size = 0.0 if pieces is None else largest(self.simplices.data.level.comm, pieces.upper[pieces.finite])
+        wrong = f"{name} may be negative, infinite or undefined"
+        return CellDatum(name, pieces, wrong, cells, least=-NEGATIVE * max(size, 0.0) - UNDERFLOW)
 
     def rim_energy(self) -> np.ndarray:
         """See `Element.rim_energy`."""

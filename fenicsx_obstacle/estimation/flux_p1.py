@@ -38,7 +38,7 @@ from fenicsx_obstacle.estimation.patch_flux import PatchFlux
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
 from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import total
 
 STIFF = 5.0  # k |T|^(2/d)/tension, from which forces are averaged around vertices
 SWEEPS = 2  # along the boundary, to find a pressure where u is given and touches
@@ -54,8 +54,6 @@ class FluxP1:
         rest: rho, what no obstacle carries, at local dofs.
         solver_rest: The same of the solver's own load, one value per cell: 0 where it has converged.
         normal: s: sigma = sum of s_j (x - x_j)/(d |T|) in a cell; s_j is the flux out of it opposite to vertex j.
-        incompatible: Largest flux that a patch of a free vertex leaves over, 0 up to round-off.
-        forces: Largest force in a corner of a cell, whose round-off this is.
         averaged: Force per area in each cell that sigma is in balance with besides, because forces are averaged around
             vertices where foundations are stiff.
         force: Of fluxes and springs on the facets of `EquilibrationP1.parts`, by vertices of the cell.
@@ -67,8 +65,6 @@ class FluxP1:
     rest: np.ndarray
     solver_rest: np.ndarray
     normal: np.ndarray
-    incompatible: float
-    forces: float
     averaged: np.ndarray
     force: np.ndarray
     contact: tuple[np.ndarray, ...] = ()
@@ -89,6 +85,7 @@ class EquilibrationP1:
         reaction: Foundation.
         parts: Fluxes and springs, and forces at vertices.
         points: Forces at points inside cells, on intervals.
+        apart: Of the patches.
         unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
@@ -132,6 +129,7 @@ class EquilibrationP1:
             self._patch_flux: PatchFlux = AxialPatchFlux(simplices, self.parts, self.mu)
         else:
             self._patch_flux = PatchFlux(simplices, self.parts, self.weighted)
+        self.apart = self._patch_flux.apart
         self.load = Load(simplices, data, tests=lambda points: points)
         self.missing = simplices.around.sums(self.load.missing)[: self.level.owned]
 
@@ -184,7 +182,6 @@ class EquilibrationP1:
         outside = beta.copy()
         np.add.at(outside, self.parts.cells, force)
         moments = self._all_moments(u)
-        forces_at_most = largest(level.comm, np.maximum(np.abs(outside), np.abs(moments)))
         drops, averaged = self._drops(outside, moments)
         residual = np.where(nodes.given, 0.0, -simplices.around.sums(drops) / nodes.weights)
         lower, upper = pushes(residual, *touches)
@@ -201,11 +198,9 @@ class EquilibrationP1:
             nodes.in_cells(values, there, gap) for values, there, gap in zip((lower, upper), touches, gaps, strict=True)
         )
         drops += nodes.share * (lower - upper + rest[simplices.dofs])
-        normal, incompatible = self._patch_flux.nearest(drops, beta, force)
         return FluxP1(
             lower=lower, upper=upper, rest=rest, solver_rest=of_solver - pushed + pulled,
-            normal=normal, incompatible=incompatible, forces=forces_at_most, averaged=averaged, force=given_force,
-            contact=borne,
+            normal=self._patch_flux.nearest(drops, beta, force), averaged=averaged, force=given_force, contact=borne,
         )  # fmt: skip
 
     def _drops(self, outside: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

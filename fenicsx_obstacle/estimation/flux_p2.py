@@ -27,7 +27,6 @@ from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
 from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
-from fenicsx_obstacle.parallel import largest
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,6 @@ class FluxP2:
         rest: rho at the vertices, shape (cells, 3).
         moments: Of sigma, shape (cells, 8).
         normal: Fluxes out of the edges, shape (cells, 3).
-        incompatible: Largest unbalanced flux in the patch of a free vertex.
-        forces: Largest force in a corner of a cell, whose round-off this is.
     """
 
     lower: np.ndarray
@@ -49,8 +46,6 @@ class FluxP2:
     rest: np.ndarray
     moments: np.ndarray
     normal: np.ndarray
-    incompatible: float
-    forces: float
 
 
 class EquilibrationP2:
@@ -59,6 +54,7 @@ class EquilibrationP2:
     Attributes:
         simplices: The owned cells, with the dofs of P1.
         patches: Their corners around the vertices.
+        apart: Of the patches.
         around: The cells around the nodes of P2.
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
@@ -80,6 +76,7 @@ class EquilibrationP2:
         self.around = AroundNodes(self.level.V, self.nodes)
         self.missing = self.around.sums(against_nodes(self.load.missing))[: self.level.owned]
         self.patches = Patches(simplices)
+        self.apart = self.patches.apart
         self._middles = AroundNodes(self.level.V, self.nodes[:, 3:])
         given = np.zeros(len(data.fixed[1].x.array), dtype=bool)
         given[data.fixed[0]] = True
@@ -146,12 +143,11 @@ class EquilibrationP2:
         R = K - inside  # int div sigma^a psi_j
         pulls = self._pulls(u, gradient, K, R, drops)
         drops, *pulls = patches.gather(drops, *pulls)
-        fluxes, left_over = patches.walk(drops)
+        fluxes = patches.walk(drops)
         before, after = -fluxes[:, 1], fluxes[:, 0]
         round_, entering, leaving = self._systems.solve(-np.array(pulls) - self._of_first * before)
         parts = patches.scatter(before + round_, after + round_, entering, leaving)
-        forces = largest(self.level.comm, np.maximum(np.abs(K), np.abs(self.load.moments)))
-        return FluxP2(lower, upper, rest, *self._joined(R, *parts), left_over, forces)
+        return FluxP2(lower, upper, rest, *self._joined(R, *parts))
 
     def gradients(self, u: np.ndarray) -> np.ndarray:
         """grad u_h at the vertices of each cell, shape (2, cells, 3)."""

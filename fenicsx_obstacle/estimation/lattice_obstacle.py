@@ -169,9 +169,8 @@ class LatticeObstacle(CoveredObstacle):
             kept = ~moved[cells]
             cells, small = np.append(cells[kept], near[place]), np.append(small[kept], number)
         lift = np.take_along_axis(self.sign * added[cells], SMALL[small], axis=1)
-        uncovered = self._cover(cells, POINTS[SMALL[small]], lift, BESIDE, u, largest_of(comm, np.abs(u)))
-        jumps = not self._field.continuous and uncovered
-        self.sampled = self._of_samples or total(comm, int(self._differs or jumps)) > 0
+        unbounded = self._cover(cells, POINTS[SMALL[small]], lift, BESIDE, u, largest_of(comm, np.abs(u)))
+        self.sampled = self._of_samples or total(comm, int(self._differs or unbounded)) > 0
         return most
 
     def _held(self, cells: np.ndarray) -> np.ndarray:

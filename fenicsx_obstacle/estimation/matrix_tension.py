@@ -125,7 +125,7 @@ class MatrixTension(Tension):
         pieces = Pieces([], np.where(wrong, 0.0, self.least), self.most, self._sampled, none)
         what = "may be infinite, undefined or not positive definite" if self._symmetric else (
             "is not known to be symmetric, as two entries are written differently,")  # fmt: skip
-        return CellDatum("tension", pieces, f"tension {what}", None, True)
+        return CellDatum("tension", pieces, f"tension {what}", least=0.0)
 
     def energy_above(self, gradient: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
         """See `Tension.energy_above`."""

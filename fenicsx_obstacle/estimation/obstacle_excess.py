@@ -92,8 +92,8 @@ class ObstacleExcess(CoveredObstacle):
         beside = near & outside
         owner, count = np.flatnonzero(beside), dofs.shape[1]
         whole = np.broadcast_to(np.eye(count), (len(owner), count, count))
-        uncovered = self._cover(owner, whole, v[dofs[owner]], BESIDE, size=self._size)
-        self.sampled = self._of_samples or (not self._field.continuous and total(comm, int(uncovered)) > 0)
+        unbounded = self._cover(owner, whole, v[dofs[owner]], BESIDE, size=self._size)
+        self.sampled = self._of_samples or total(comm, int(unbounded)) > 0
         above = np.minimum(self._height - _least(v - self.nodal, dofs), self._top - _least(v, dofs))
         return max(at_nodes, largest(comm, above[near & ~beside]))
 

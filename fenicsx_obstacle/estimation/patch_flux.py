@@ -30,7 +30,11 @@ STREAMS: dict[int, tuple[tuple[int, int], ...]] = {1: (), 2: ((0, 1),), 3: ((1, 
 
 
 class PatchFlux:
-    """What depends on mesh and tension alone."""
+    """What depends on mesh and tension alone.
+
+    Attributes:
+        apart: Of the patches.
+    """
 
     def __init__(
         self,
@@ -47,7 +51,7 @@ class PatchFlux:
         """
         self._parts, self._weighted = parts, weighted
         dim, patches = simplices.dim, Patches(simplices)
-        self._patches = patches
+        self._patches, self.apart = patches, patches.apart
         self._others, self._streams = OTHERS[dim], STREAMS[dim]
         if not self._streams:
             return
@@ -62,7 +66,7 @@ class PatchFlux:
             zero[numbers[patches.free_boundary[:, k]][:, through]] = True
         self._systems = PatchSystems(numbers, owner, zero, self._products(simplices), up_to_constants=dim == 3)
 
-    def nearest(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, float]:
+    def nearest(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The sum of the fluxes on all patches, (E11) (collective).
 
         Args:
@@ -73,11 +77,10 @@ class PatchFlux:
             force: What flows out through the facets of `parts` besides, by vertices of the cell; `drops` contain it.
 
         Returns:
-            The fluxes out of cells, and what patches of free vertices leave over, as `FluxP1` has them.
+            The fluxes out of cells, as `FluxP1` has them.
         """
         patches, parts = self._patches, self._parts
-        fluxes, left_over = patches.walk(patches.gather(drops)[0])
-        at_corners = patches.scatter(*fluxes.T)
+        at_corners = patches.scatter(*patches.walk(patches.gather(drops)[0]).T)
         for a, others in enumerate(self._others):
             for flux, k in zip(at_corners, others, strict=True):
                 there = parts.sides == k
@@ -91,7 +94,7 @@ class PatchFlux:
         for a, others in enumerate(self._others):
             for flux, k in zip(at_corners, others, strict=True):
                 normal[:, k] += flux[:, a]
-        return normal, left_over
+        return normal
 
     def _weigh(self, simplices: Simplices) -> np.ndarray:
         """int mu^(-1) tau_i . tau_j of the fluxes tau_i that flow 1 out opposite to vertex i, up to one number in each

@@ -36,6 +36,7 @@ class PatchTrees:
         order: The corners ordered by depth, the roots first.
         patch: The patch of each, in this order.
         vertex: Owned vertex of each patch.
+        closed: The vertices of the patches that nothing may leave.
     """
 
     def __init__(self, sides: Sides, owned: int):
@@ -85,14 +86,15 @@ class PatchTrees:
         self._parent = np.where(parent >= 0, place[parent], -1)
         roots = self._levels[0]
         self._exits = exit_[self.order][roots]
+        self.closed = self.vertex[self.patch[roots][~self._exits]]
         out = np.arange(roots.stop) * dim + np.argmax(sides.held[self.order][roots], axis=1)
         self._up = np.arange(count) * dim + up[self.order] % dim
         self._up[roots] = out
         self._down = self._parent * dim + down[self.order] % dim
 
-    def walk(self, drops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fluxes out of the corners with sums of -drops in each, shape (corners, d); and what is left, without its
-        sign, at roots where nothing may leave."""
+    def walk(self, drops: np.ndarray) -> np.ndarray:
+        """Fluxes out of the corners with sums of -drops in each, shape (corners, d); of a patch that nothing may leave
+        the drops have the sum 0."""
         gathered = -drops
         for before, level in zip(self._levels[-2::-1], self._levels[:0:-1], strict=True):
             count = before.stop - before.start
@@ -103,4 +105,4 @@ class PatchTrees:
         others = slice(roots.stop, len(drops))
         flat[self._up[others]] = gathered[others]
         flat[self._down[others]] = -gathered[others]
-        return fluxes, np.abs(gathered[roots][~self._exits])
+        return fluxes

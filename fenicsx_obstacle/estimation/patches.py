@@ -15,7 +15,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.mesh.cells import own_cells
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import total
 
 # the other vertices of a cell after each one
 OTHERS = {1: ((1,), (0,)), 2: ((1, 2), (2, 0), (0, 1)), 3: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
@@ -28,6 +28,8 @@ class Patches:
         free_boundary: Whether a facet with the vertex is on the boundary and u is not given on it, shape (corners, d).
         patch: The patch of each corner.
         vertex: Owned dof of each patch.
+        apart: Whether cells around a vertex that nothing may leave are more than the one patch of a free vertex, on any
+            rank: then cells overlap, or meet in this vertex only, and forces there are in no balance.
     """
 
     def __init__(self, simplices: Simplices):
@@ -50,6 +52,8 @@ class Patches:
         self._trees = PatchTrees(sides, data.level.owned)
         self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
         self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
+        closed, patches_at = self._trees.closed, np.bincount(self.vertex, minlength=data.level.owned)
+        self.apart = total(self.comm, np.count_nonzero((patches_at[closed] > 1) | simplices.given[closed])) > 0
 
     def gather(self, *values: np.ndarray) -> np.ndarray:
         """Values at the corners of owned cells, each of shape (cells, vertices), patch by patch (collective).
@@ -111,18 +115,16 @@ class Patches:
         shape = len(vertex), dim
         return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
 
-    def walk(self, drops: np.ndarray) -> tuple[np.ndarray, float]:
-        """Fluxes out of the corners through their facets with sums of -drops in each, along the trees (collective).
+    def walk(self, drops: np.ndarray) -> np.ndarray:
+        """Fluxes out of the corners through their facets with sums of -drops in each, along the trees (local).
 
         Args:
             drops: At the corners.
 
         Returns:
-            Shape (corners, d), the same number with opposite signs on both sides of a facet; and the largest flux that
-            is left at a root where nothing may leave.
+            Shape (corners, d), the same number with opposite signs on both sides of a facet.
         """
-        fluxes, left_over = self._trees.walk(drops)
-        return fluxes, max(largest(self.comm, left_over), 0.0)
+        return self._trees.walk(drops)
 
     def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
         """The facets of each patch (collective).

@@ -17,7 +17,7 @@ from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.mesh.cells import own_cells
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import total
 
 INSIDE = 1e-11  # relative shift of edge points towards the facet's centroid, where the datum is that of this facet
 ALONG = np.linspace(0.0, 1.0, polynomials.MAX_DEGREE + 1)  # polynomials that agree there agree on the edge
@@ -73,7 +73,7 @@ class SharedEdges:
                     values[:, side, k] = data.at(part.value, points, part.cells)
             values = np.where(upward[..., None], values, values[..., ::-1])
             traces.append(values)
-            jumps.scale = max(jumps.scale, largest(comm, np.abs(values)))
+            jumps.take(values)
             for k, row in enumerate(sums):
                 np.add.at(row, numbers.ravel(), values[..., k].ravel())
             np.add.at(counts, numbers.ravel(), 1.0)

@@ -62,7 +62,7 @@ class Formula:
 
     @property
     def may_jump(self) -> bool:
-        """Whether anything in it may, except for poles."""
+        """Whether anything in it may, except for poles: `intervals` finds these in cells."""
         nodes = list(ast.walk(self.tree))
         called = {node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
         conditions = ast.Compare | ast.BoolOp | ast.Not | ast.Mod

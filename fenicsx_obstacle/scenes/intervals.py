@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from math import pi
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -195,7 +197,7 @@ def _inverse(b: Enclosure) -> Enclosure:
     lower = np.where(within | zero | (b.upper == 0), -np.inf, lower)
     upper = np.where(within | zero | (b.lower == 0), np.inf, upper)
     outer = _through(b, derivative_bounds.of_inverse(b.lower, b.upper))
-    return _made(lower, upper, _degree(b), b, slopes=outer, defined=~zero)
+    return _beside_poles(_made(lower, upper, _degree(b), b, slopes=outer, defined=~zero), b)
 
 
 def divide(a: Enclosure, b: Enclosure) -> Enclosure:
@@ -242,13 +244,19 @@ def _least(a: Enclosure) -> np.ndarray:
     return -1e-12 * np.where(np.isfinite(a.upper), np.abs(a.upper), 1.0)
 
 
+def _beside_poles(found: Enclosure, *parts: Enclosure) -> Enclosure:
+    """The same enclosure, cut where it is finite and what it is made of is not: it may jump at a pole."""
+    infinite = reduce(or_, (np.isinf(part.lower) | np.isinf(part.upper) for part in parts))
+    return found.cut(infinite & found.finite) if infinite.any() else found
+
+
 def _outer(name: str, a: Enclosure) -> Slopes:
     """Bounds of derivatives of a function of a, by its name."""
     return _through(a, derivative_bounds.BOUNDS[name](a.lower, a.upper))
 
 
 def _monotone(name: str, f: Callable[[np.ndarray], np.ndarray]) -> Callable[[Enclosure], Enclosure]:
-    return lambda a: _made(f(a.lower), f(a.upper), _degree(a), a, slopes=_outer(name, a))
+    return lambda a: _beside_poles(_made(f(a.lower), f(a.upper), _degree(a), a, slopes=_outer(name, a)), a)
 
 
 def sqrt(a: Enclosure) -> Enclosure:
@@ -288,7 +296,7 @@ def cos(a: Enclosure) -> Enclosure:
     odd = (2 * np.floor((end - 1) / 2) + 1 >= start) | large
     least = np.where(odd & ~point, -1.0, np.minimum(low, high))
     most = np.where(even & ~point, 1.0, np.maximum(low, high))
-    return _made(least, most, _degree(a), a, slopes=_outer("sin", a)).clipped(-1.0, 1.0)
+    return _beside_poles(_made(least, most, _degree(a), a, slopes=_outer("sin", a)).clipped(-1.0, 1.0), a)
 
 
 def sin(a: Enclosure) -> Enclosure:
@@ -390,7 +398,8 @@ def extreme(name: str, a: Enclosure, b: Enclosure, above: np.ndarray, below: np.
     first, second = (below, above) if name == "min" else (above, below)  # where a, and where b, may be the result
     picked = chosen(first | ~second, second, a, b)
     # it is not a number where one of the two is none, even where that one would not be the result
-    return replace(picked, lower=of(a.lower, b.lower), upper=of(a.upper, b.upper), defined=a.defined & b.defined)
+    bounds = of(a.lower, b.lower), of(a.upper, b.upper)
+    return _beside_poles(replace(picked, lower=bounds[0], upper=bounds[1], defined=a.defined & b.defined), a, b)
 
 
 def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclosure) -> Enclosure:

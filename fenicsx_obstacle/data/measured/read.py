@@ -11,6 +11,7 @@ from functools import lru_cache
 from hashlib import file_digest
 from pathlib import Path
 from tokenize import TokenError
+from typing import Any
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -180,6 +181,11 @@ def _npz(path: Path, name: str) -> Heights:
     return of_arrays(found.get("x"), found.get("y"), found["z"], name)
 
 
+def numbers(values: Any) -> np.ndarray:
+    """An array of numbers; where it is masked, of none: not-a-number."""
+    return np.ma.filled(np.asanyarray(values, dtype=np.float64), np.nan)
+
+
 def of_arrays(x: object, y: object, z: object, name: str) -> Heights:
     """From arrays x, y, z: axes and a matrix, or the coordinates of each height; x alone along one axis.
 
@@ -187,7 +193,7 @@ def of_arrays(x: object, y: object, z: object, name: str) -> Heights:
         InputError: If their shapes do not fit together.
     """
     try:
-        xs, ys, heights = (None if one is None else np.asarray(one, dtype=np.float64) for one in (x, y, z))
+        xs, ys, heights = (None if one is None else numbers(one) for one in (x, y, z))
     except (TypeError, ValueError):
         raise InputError(f"{name}: x, y and z must be arrays of numbers") from None
     assert heights is not None

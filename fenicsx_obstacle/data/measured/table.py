@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.data.measured.grid import Grid
-from fenicsx_obstacle.data.measured.read import Heights, of_arrays, read
+from fenicsx_obstacle.data.measured.read import Heights, numbers, of_arrays, read
 from fenicsx_obstacle.data.measured.surface import OnSurface, Surface
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
@@ -73,7 +73,7 @@ class Table:
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays x, y, z that were given."""
         given = {key: getattr(self, key) for key in ("x", "y", "z")}
-        return {key: np.asarray(value, dtype=np.float64) for key, value in given.items() if value is not None}
+        return {key: numbers(value) for key, value in given.items() if value is not None}
 
     @property
     def in_toml(self) -> dict[str, Any]:
