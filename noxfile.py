@@ -48,7 +48,7 @@ def quick(session: nox.Session) -> None:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Lint, then the quick tests, of many cases the first, or with --all every test.
+    """The quick tests, of many cases the first; or lint, then every test, with --all.
 
     They run on 1 rank, then two thirds of the files on 2 ranks, and the others on 3.
 
@@ -59,11 +59,11 @@ def tests(session: nox.Session) -> None:
     alone = given[:1] == ["--ranks"]
     if alone:
         ranks, given = given[1:2], given[2:]
-    else:
-        check(session)
     chosen = NOT_SLOW
     if given[:1] == ["--all"]:
         chosen, given = (), given[1:]
+        if not alone:
+            check(session)
     named = any(Path(word.partition("::")[0]).exists() for word in given)
     for number in ranks:
         words = [*(() if named else chosen), *(ON_ALL_CORES if number == "1" else ())]

@@ -84,13 +84,19 @@ def some_cases(items: list[pytest.Item], few: bool) -> set[pytest.Item]:
     return chosen
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files of another number of ranks are not even imported."""
+    others = collection_path.name.startswith("test_") and ranks_of(collection_path) != COMM.size
+    return True if config.getoption("--by-file") and others else None
+
+
 @pytest.hookimpl(trylast=True)  # after the choice by markers
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     by_file, few = config.getoption("--by-file"), config.getoption("--few")
     if by_file or few:
         kept = some_cases([
             item for item in items
-            if not by_file or (ranks_of(item.path) == COMM.size and "variant" not in item.keywords)
+            if not (by_file and "variant" in item.keywords)
         ], few)  # fmt: skip
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = [item for item in items if item in kept]

@@ -204,6 +204,44 @@ def test_boxes(kind):
         assert np.allclose(pressed, force, atol=1e-7 * abs(force[-1]))
 
 
+def test_a_node_of_two_obstacles_has_the_nearer_one():
+    """In whatever order the tables stand, and as one obstacle with both gaps; a body pushed by one of them moves it."""
+    inner = {"where": "y > 1 - 1e-9 and x < 0.5 + 1e-9", "obstacle": {"plane": [0, -1], "at": [0, 1]}}
+    outer = {"where": "y > 1 - 1e-9 and x > 0.5 - 1e-9", "obstacle": {"plane": [0, -1], "at": [0, 1.1]}}
+    both = {"on": "top", "obstacle": {"gap": "where(x <= 0.5, 0, 0.1)", "along": [0, 1]}}
+    found = [
+        solve(block(8, [*ROLLERS, *parts], load=[0, 0.1])).force.lower
+        for parts in ((inner, outer), (outer, inner), (both,))
+    ]
+    assert np.allclose(found, found[0], rtol=1e-9)
+    inner["obstacle"] = {**inner["obstacle"], "force": 0.01, "moves": [0, -1]}
+    outer["obstacle"]["at"] = [0, 0.9995]
+    assert solve(block(8, [*ROLLERS, inner, outer])).force.lower > 0.01
+
+
+def test_beside_a_cylinder_there_is_no_obstacle():
+    """A layer that is pulled up past a small cylinder touches it in the middle only."""
+    small = {"on": "top", "obstacle": {"cylinder": 0.25, "centre": [0, 1.26]}}
+    answer = solve(block(8, [*ROLLERS, small], load=[0, 0.1]))
+    touching = answer.nodes.points[answer.nodes.pressure > 0, 0]
+    assert len(touching) and touching.max() < 0.25
+    assert np.isinf(answer.nodes.gap[answer.nodes.points[:, 0] > 0.26]).all()
+
+
+def test_a_cylinder_that_has_moved_obliquely():
+    """Half-width and peak are measured from where it is."""
+    there = {"on": "top", "obstacle": {"cylinder": 5, "centre": [0.5, 5.97]}}
+    path = {"cylinder": 5, "centre": [-2.5, 9.0], "travel": f"{np.hypot(3, 3.03)}*t", "moves": [3, -3.03]}
+    still, moved = (
+        solve(
+            block(32, [{"on": "bottom", "value": [0, 0]}, part], report={"width": "half_width", "most": "peak"}, **more)
+        )
+        for part, more in ((there, {}), ({"on": "top", "obstacle": path}, {"time": {"end": 1, "steps": 1}}))
+    )
+    for key in ("width", "most"):
+        assert np.isclose(moved.record["report"][key], still.record["report"][key], rtol=1e-8)
+
+
 @pytest.mark.slow
 def test_nodes_without_an_obstacle(folder):
     """Beside a box gaps are infinite: at nodes, along the boundary, and in a saved answer."""

@@ -354,6 +354,18 @@ def test_string_that_ends_on_a_stop(method):
     assert record["contact"]["upper"]["force"] == 0
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_node_of_two_obstacles_has_the_nearer_one(sign):
+    """In whatever order the tables stand; of two tables for the same facets the later one counts."""
+    side = "lower" if sign > 0 else "upper"
+    left, bottom = {"on": "left", side: -0.1 * sign}, {"on": "bottom", side: -5 * sign}
+    held = {"on": ["right", "top"], "value": 0}
+    orders = [(left, bottom), (bottom, left), ({"on": "left", side: -0.05 * sign}, bottom, left)]
+    u = [solve(membrane(load=-4 * sign, boundary=[held, *parts])).at([[0.0, 0.0], [0.0, 0.5]]) for parts in orders]
+    assert np.allclose(sign * u[0], -0.1, atol=1e-3)
+    assert np.allclose(u[1], u[0], atol=1e-12) and np.allclose(u[2], u[0], atol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_wire_below_a_membrane(wire, method):

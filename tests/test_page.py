@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import solve
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.show.study import report_study
 from tests.conftest import COMM, membrane
@@ -133,6 +134,10 @@ def test_no_picture_is_better_than_an_earlier_one(folder):
     """A new answer in the folder of an old one: the old picture goes, and the page shows none."""
     answer = solve(membrane(load=1, report={"mean": "integral(u)", "none": "ln(-1)"}))
     answer.save(folder / "out")
+    earlier = ("bound.png", "history.png", "answer.gif", "profile-a.csv", "profile-a.png")
+    mine = ("profile-mine.csv", "notes.txt")
+    for name in (*earlier, *mine):
+        on_root(COMM, (folder / "out" / name).touch)
     for picture in (True, False):
         _, said = report_answer(answer, folder / "out", picture=picture)
         page = Page((folder / "out" / "report.html").read_text())
@@ -140,6 +145,7 @@ def test_no_picture_is_better_than_an_earlier_one(folder):
         assert any(tag == "img" for tag, _ in page.tags) == picture
         COMM.barrier()
     assert said == f"./obstacle plot {folder / 'out'} draws it"
+    assert [name for name in (*earlier, *mine) if (folder / "out" / name).exists()] == list(mine)
     # the scene's own figures have a table of their own
     text = " ".join("".join(page.texts).split())
     assert re.search(r"Report mean ?0\.03\d+ none ?not finite Output quantities cells, unknowns", text), text

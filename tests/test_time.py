@@ -411,6 +411,8 @@ def test_states_are_of_one_mesh(folder):
         solve(scene, restart=folder)
     with pytest.raises(InputError, match="belongs to another mesh"):
         solve(scene.change({"mesh.cells": 17, "time.end": 2}), restart=folder)
+    with pytest.raises(InputError, match=r"other data: \[obstacle\] lower was -1, now -2; only \[time\] steps"):
+        solve(scene.change({"obstacle.lower": -2, "time.end": 2}), restart=folder)
     assert solve(scene.change({"time.end": 2, "time.steps": 4}), restart=folder).record["time"]["steps"] == 4
 
 

@@ -216,7 +216,7 @@ def _hertzian(one: Facing, nodes: ContactTable) -> tuple[float, float]:
     forces = nodes.pressure * nodes.areas
     if not forces.sum() > 0:
         return 0.0, 0.0
-    arms = nodes.points - np.array(one.obstacle.point)
+    arms = nodes.points - one.place
     across = [nodes.resultant / np.linalg.norm(nodes.resultant)]
     across += [np.array(one.obstacle.direction)] if one.obstacle.direction else []
     for unit in across:

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays, to_arrays
-from fenicsx_obstacle.data.time_discretization import INERTIA, NO_STEP, RATE, TimeDiscretization
+from fenicsx_obstacle.data.model import Model
+from fenicsx_obstacle.data.time_discretization import INERTIA, NO_STEP, RATE
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
@@ -117,8 +118,8 @@ def extrapolation(t: float, times: Sequence[float]) -> list[float]:
     return [float(np.prod([(t - s) / (one - s) for s in times if s != one])) for one in times]
 
 
-def write_checkpoint(folder: Path, level: Level, steps: Steps, time_history: TimeHistory) -> None:
-    """Write the state into a folder, in one step (collective).
+def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, time_history: TimeHistory) -> None:
+    """Write the state into a folder, in one step, with the words of the data (collective).
 
     Raises:
         InputError: If it cannot be written.
@@ -135,6 +136,7 @@ def write_checkpoint(folder: Path, level: Level, steps: Steps, time_history: Tim
             "times": np.array(steps.times),
             "rows": np.array(json.dumps([dict(row) for row in time_history.rows]).encode()),
         }
+        arrays["data"] = np.array(json.dumps(_in_words(model)).encode())
         arrays |= {"eps": np.array(steps.eps)} if steps.eps is not None else {}
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
@@ -147,18 +149,24 @@ def write_checkpoint(folder: Path, level: Level, steps: Steps, time_history: Tim
     on_root(comm, save)
 
 
-def read_checkpoint(folder: Path, level: Level, moments: TimeDiscretization) -> tuple[Steps, TimeHistory]:
+def _in_words(model: Model) -> dict[str, str]:
+    """All data by their place in the scene."""
+    return {field.source.removeprefix(f"{model.source}: "): field.text for field in model.data}
+
+
+def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, TimeHistory]:
     """The state that a folder holds (collective).
 
     Args:
         folder: Of a saved or of an interrupted solve.
+        model: Of the scene that goes on.
         level: The same mesh, however it is distributed.
-        moments: Of the scene that goes on.
 
     Raises:
-        InputError: If there is none, or it is of another mesh or another kind of scene.
+        InputError: If there is none, or it is of another mesh or of other data.
     """
-    place, comm = folder / NAME, level.comm
+    place, comm, moments = folder / NAME, level.comm, model.time
+    assert moments is not None
     stored, time_history = on_root(comm, _load, place)
     points = gathered(comm, level.points.T[: level.owned])
     if level.pair.nested_hierarchy:
@@ -170,6 +178,16 @@ def read_checkpoint(folder: Path, level: Level, moments: TimeDiscretization) -> 
     with agree(comm):
         if elsewhere:
             raise InputError(f"{place}: belongs to another mesh: [mesh] must not change")
+    data = _in_words(model)
+    before = json.loads(stored["data"].item()) if "data" in stored else data  # earlier versions did not keep them
+    changed = [key for key in sorted({**before, **data}) if before.get(key) != data.get(key)]
+    with agree(comm):
+        if changed:
+            was, now = (words.get(changed[0], "not there") for words in (before, data))
+            raise InputError(
+                f"{place}: belongs to other data: {changed[0]} was {was}, now {now}; only [time] steps and end, "
+                "[solve] and [report] may change"
+            )
     velocity = stored["velocity"][found] if "velocity" in stored else None
     if (velocity is None) == (moments.order == INERTIA):
         raise InputError(f"{place}: is of a scene {'without' if velocity is None else 'with'} inertia")

@@ -219,7 +219,7 @@ class TimeStepper:
         problem, moments = self.problem, self.moments
         self.course = Course(moments)
         if restart is not None:
-            self.steps, time_history = read_checkpoint(restart, problem.level, moments)
+            self.steps, time_history = read_checkpoint(restart, problem.model, problem.level)
             self.course = Course(moments, time_history)
             if self._penalty is not None and self._penalty.automatic and self.steps.eps is not None:
                 self._penalty.eps = min(self._penalty.eps, self.steps.eps)
@@ -379,4 +379,4 @@ class TimeStepper:
     def _keep(self, folder: Path | None) -> None:
         if folder is not None:
             self.steps.eps = None if self._penalty is None else self._penalty.eps
-            write_checkpoint(folder, self.problem.level, self.steps, self.course.history)
+            write_checkpoint(folder, self.problem.model, self.problem.level, self.steps, self.course.history)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from math import factorial
 from typing import TYPE_CHECKING, Any
@@ -277,15 +277,25 @@ class Data(Samples):
         return function
 
     def _thin_obstacle(self, obstacles: Mapping[int, Field], none: float) -> fem.Function:
-        """Nodal obstacle on parts of the boundary; infinitely far off elsewhere (collective)."""
-        function = fem.Function(self.level.V)
+        """Nodal obstacle on parts of the boundary; infinitely far off elsewhere (collective).
+
+        Of two tables for one facet the later one counts, at a node of facets of several the nearer obstacle.
+        """
+        function, nearer = fem.Function(self.level.V), np.maximum if none < 0 else np.minimum
         function.x.array[:] = none
         for number, obstacle in obstacles.items():
-            dofs = self.dofs_on(self.facets[number])
-            function.x.array[dofs] = self._at_dofs(obstacle, self.level.V, dofs)
-            self._mark_none(function, obstacle, none)
-        share(function)
+            one, dofs = fem.Function(self.level.V), self.dofs_on(self.last_facets(number, obstacles))
+            one.x.array[:] = none
+            one.x.array[dofs] = self._at_dofs(obstacle, self.level.V, dofs)
+            self._mark_none(one, obstacle, none)
+            share(one)
+            function.x.array[:] = nearer(function.x.array, one.x.array)
         return function
+
+    def last_facets(self, number: int, parts: Iterable[int]) -> np.ndarray:
+        """The local facets of a part that none of the later ones among some parts has."""
+        later = [self.facets[other] for other in parts if other > number]
+        return np.setdiff1d(self.facets[number], np.concatenate([np.empty(0, dtype=np.int32), *later]))
 
     def _mark_none(self, function: fem.Function, obstacle: Field, none: float) -> None:
         """Set an obstacle to infinity where its values mean that there is none (collective).

@@ -19,6 +19,7 @@ from fenicsx_obstacle.text import nearest, shown
 
 PLANES = ("strain", "stress", "axial")
 UNKNOWN = (0.25, 0.25)  # of UFL nothing is known here: what passes every check
+NO_OBSTACLE = 1e20  # a gap beyond which there is none
 LOCKS, USELESS = 0.45, 0.49  # Poisson's ratios beyond which elements of degree 1 lock visibly, and give nothing
 
 
@@ -176,8 +177,9 @@ def plane_gap(x: Any, n: Any, point: Sequence[Any], outward: Sequence[Any]) -> A
 def ball_gap(x: Any, n: Any, centre: Sequence[Any], radius: Any, axis: Sequence[Any] | None = None) -> Any:
     """The gap to a rigid ball, in the plane a cylinder, in UFL: the distance along n from x to its surface.
 
-    If the line through x misses the ball, the gap is the distance along n to the point of the line that is nearest to
-    the centre. Example: `ObstacleProblem(..., of=ufl.dot(u, n), upper=ball_gap(x, n, centre, radius), measure=ds(3))`.
+    If the line through x misses the ball there is no obstacle: the gap is `NO_OBSTACLE`.
+
+    Example: `ObstacleProblem(..., of=ufl.dot(u, n), upper=ball_gap(x, n, centre, radius), measure=ds(3))`.
 
     Args:
         x: Points of the body's surface, `ufl.SpatialCoordinate(mesh)`.
@@ -194,4 +196,5 @@ def ball_gap(x: Any, n: Any, centre: Sequence[Any], radius: Any, axis: Sequence[
         n, there = n - ufl.dot(n, along) * along, there - ufl.dot(there, along) * along
     square, middle = ufl.dot(n, n), ufl.dot(there, n)
     reach = middle**2 - square * (ufl.dot(there, there) - radius**2)
-    return (middle - ufl.sqrt(ufl.conditional(ufl.gt(reach, 0), reach, 0.0))) / square
+    meets = ufl.gt(reach, 0)
+    return ufl.conditional(meets, (middle - ufl.sqrt(ufl.conditional(meets, reach, 0.0))) / square, NO_OBSTACLE)

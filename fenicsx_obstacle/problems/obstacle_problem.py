@@ -33,27 +33,29 @@ from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.mesh.levels import Level, of_space
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
-from fenicsx_obstacle.problems.input_checks import (
+from fenicsx_obstacle.problems.form_checks import (
     check_energy,
     check_form,
     check_integrals,
-    check_measure,
-    check_not_moved,
     check_stiffness,
     check_tagged,
+    flat_start,
+    naming_compiler_errors,
+    refuse_no_positive_diagonal,
+    refuse_not_finite,
+    warn_of_indefinite,
+)
+from fenicsx_obstacle.problems.input_checks import (
+    check_measure,
+    check_not_moved,
     check_unknown,
     checked_options,
     conditions,
     facets_of,
-    flat_start,
-    naming_compiler_errors,
     number_of,
     obstacle,
-    refuse_no_positive_diagonal,
-    refuse_not_finite,
     vertex_digests,
     warn_of_conditions,
-    warn_of_indefinite,
 )
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.residual_form import ResidualForm, by_one_rule

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
+from fenicsx_obstacle.algebra.system import with_infinities
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.assembly import assembled
@@ -31,7 +32,7 @@ from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.mesh.levels import Level, at_surface, over, vector_pair
 from fenicsx_obstacle.mesh.reference_cell import Reference
-from fenicsx_obstacle.parallel import first_given, largest, smallest, total
+from fenicsx_obstacle.parallel import first_given, largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.solution import Solution
 
@@ -70,6 +71,11 @@ class Facing:
     dofs: np.ndarray
     points: np.ndarray
     travel: fem.Constant
+
+    @property
+    def place(self) -> np.ndarray:
+        """Its centre, or a point on it, where it is now."""
+        return np.array(self.obstacle.point) + float(self.travel.value) * np.array(self.obstacle.moves or 0.0)
 
 
 class Body:
@@ -210,10 +216,21 @@ class Body:
         Raises:
             InputError: If a gap is not a number.
         """
-        for one, gap in zip(self.facing, self._gaps, strict=True):
-            self.gap.x.array[one.dofs] = -gap()  # -u . n >= -gap
+        lowest = [self._lowest(one) for one in self.facing]
+        for one in self.facing:
+            self.gap.x.array[one.dofs] = -np.inf
+        for one, own in zip(self.facing, lowest, strict=True):  # the nearest one at nodes of several
+            self.gap.x.array[one.dofs] = np.maximum(self.gap.x.array[one.dofs], own)
         self.gap.x.scatter_forward()
         self.data.refuse_infinite(self.gap, words=f"{self.model.source}: the gap to an obstacle", none=-np.inf)
+
+    def _lowest(self, one: Facing) -> np.ndarray:
+        """What -u . n must not be below because of an obstacle where it is now, at the nodes that face it
+        (collective)."""
+        found = with_infinities(-self._gaps[self.facing.index(one)]())
+        if largest(self.level.comm, found) == -np.inf:
+            raise InputError(f"{one.obstacle.source}: no line along n from a node of its part meets it")
+        return found
 
     def _gap_of(self, one: Facing) -> Callable[[], np.ndarray]:
         """A function that returns the gap to an obstacle where it is now, at the nodes that face it; both are
@@ -233,14 +250,7 @@ class Body:
 
             points, near = self.level.points.T[dofs, :gdim], SAME * self.data.extent
             at_nodes = nodal_gap(obstacle, self.level.comm, points, normals, near)
-
-            def met() -> np.ndarray:
-                found = at_nodes(float(one.travel.value) * np.array(moves))
-                if smallest(self.level.comm, found) == np.inf:
-                    raise InputError(f"{obstacle.source}: no line along n from a node of its part meets it")
-                return found
-
-            return met
+            return lambda: at_nodes(float(one.travel.value) * np.array(moves))
         n = [self._normals[k] for k in range(gdim)]
         gap = obstacle.gap(self._places, n, [part * one.travel for part in moves])
         compiled = releases.expression(gap, self.level.V)
@@ -336,8 +346,7 @@ class Body:
 
         def least(travel: float) -> float:
             one.travel.value = travel
-            self.place()
-            return -largest(self.level.comm, self.gap.x.array[one.dofs])
+            return -largest(self.level.comm, self._lowest(one))
 
         nearer = least(0.0) - least(FIRST * self.data.extent)
         if nearer <= 0:
@@ -391,7 +400,12 @@ class Body:
         """An obstacle with its nodes; sets the directions of the gap there (collective)."""
         level, gdim = self.level, self.level.mesh.geometry.dim
         obstacle.check(gdim, axial=self.model.radial)
-        facets = self.data.facets[obstacle.part]
+        others = [effect.part for effect in self.model.effects if isinstance(effect, Obstacle)]
+        facets = self.data.last_facets(obstacle.part, others)
+        if total(level.comm, len(facets)) == 0:
+            raise InputError(
+                f"{obstacle.source}: has no effect: a later [[boundary]] has an obstacle on all its facets"
+            )
         own_facets = facets[facets < level.mesh.topology.index_map(level.mesh.topology.dim - 1).size_local]
         if total(level.comm, np.count_nonzero(~np.isin(own_facets, level.boundary_facets))) > 0:
             raise InputError(f"{obstacle.source}: a part of it is inside the body; contact is on the boundary")

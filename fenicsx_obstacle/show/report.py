@@ -17,6 +17,7 @@ from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.free_boundary import write_free_boundary
 
 PICTURE = "answer.png"
+EARLIER = ("bound.png", "history.png", "answer.gif")  # where there is a bound, and a course in time
 
 
 def report_answer(
@@ -44,8 +45,7 @@ def report_answer(
         on_root(comm, (folder / "free_boundary.csv").unlink, True)
     else:
         write_free_boundary(answer.fields, folder / "free_boundary.csv")
-    for name in (PICTURE, page.NAME):  # of an earlier answer: none is left where a new one cannot be written
-        on_root(comm, (folder / name).unlink, True)
+    on_root(comm, _remove_earlier, folder)
     file = folder / PICTURE if picture and has_picture(answer) else None
     others = dict[str, Path]()
     if file is not None:
@@ -84,13 +84,22 @@ def report_answer(
     return answer, said
 
 
+def _remove_earlier(folder: Path) -> None:
+    """Remove what an earlier answer has drawn: nothing of it is left where a new one is not drawn (one rank)."""
+    for name in (PICTURE, page.NAME, *EARLIER):
+        (folder / name).unlink(missing_ok=True)
+    for table in folder.glob("profile-*.csv"):
+        if table.with_suffix(".png").exists():  # which makes it one of a profile
+            table.with_suffix(".png").unlink()
+            table.unlink()
+
+
 def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
     """The picture of the course and, if asked for, the animation, with what is said of them (one rank)."""
-    from fenicsx_obstacle.show.time_history import ANIMATION, MovingPicture  # only where a scene has time
+    from fenicsx_obstacle.show.time_history import MovingPicture  # only where a scene has time
 
     course = MovingPicture(answer, arrays, folder)
     said = ["", course.draw()]
-    (folder / ANIMATION).unlink(missing_ok=True)
     if picture and course.is_animated:
         said.append(course.animate())
     return course.path, "\n  ".join(said)
