@@ -16,6 +16,7 @@ SHOWN = 60  # characters of a value
 LONGEST = 160  # characters of a title or name where it is shown
 ROUND_OFF = 1e-12  # of the largest component of a vector
 LEAST_ERROR = 1e-14  # of a value: smaller ones are below its last digit
+LEAST_DIGIT = 1e-6  # of the last digit: round-off
 
 
 def counted(number: int, noun: str) -> str:
@@ -70,7 +71,8 @@ def short(value: Any) -> str:
 
 
 def with_error(value: float, error: float, form: str = ".10g") -> str:
-    """A value with its error: the error with two digits, the value with no more decimals than the error has.
+    """A value with its error: the error with two digits, rounded upwards together with what the value is rounded by;
+    the value with no more decimals than the error has.
 
     Args:
         value: Finite.
@@ -80,11 +82,13 @@ def with_error(value: float, error: float, form: str = ".10g") -> str:
     if not LEAST_ERROR * abs(value) < error < math.inf:
         return f"{value:{form}} +- {error:.2g}"
     last = _exponent(error) - 1  # the power of ten of the last digit
+    rounded = round(value, -last)
+    error = math.ceil((error + abs(value - rounded)) / 10.0**last - LEAST_DIGIT) * 10.0**last
     first = max(_exponent(value), last + 1) if value else last + 1
     if -5 < first < 7:
-        numbers = (round(number, -last) if last > 0 else number for number in (value, float(f"{error:.1e}")))
+        numbers = (round(number, -last) if last > 0 else number for number in (rounded, error))
         return " +- ".join(f"{number:.{max(0, -last)}f}" for number in numbers)
-    both = " +- ".join(f"{number / 10.0**first:.{first - last}f}" for number in (value, error))
+    both = " +- ".join(f"{number / 10.0**first:.{first - last}f}" for number in (rounded, error))
     return f"({both})e{first:+03d}"
 
 

@@ -9,6 +9,7 @@ import pytest
 from fenicsx_obstacle import Answer, InputError, Scene, solve
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.mesh.boundary_distance import distance_to_simplices
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 
@@ -367,3 +368,25 @@ def test_flux_through_a_curve_inside(element):
     ):
         with pytest.raises(InputError, match=message):
             solve(halves(1, report={"q": text}, boundary=[{"on": "west", "value": 0}]))
+
+
+def test_the_flux_is_that_of_the_solver():
+    """Of a tension that jumps inside a cell: in one dimension it is the same number everywhere."""
+    scene = membrane(mesh={"shape": "interval", "cells": 8}, tension="where(x < 0.32, 1, 1000)",
+                     boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 1}],
+                     report={"most": "max(flux)", "least": "min(flux)"})  # fmt: skip
+    answer = solve(scene)
+    assert np.allclose(list(answer.record["report"].values()), answer.at([0.35], "flux"), rtol=1e-9)
+
+
+def test_extremes_of_the_pressure_are_at_its_nodes():
+    """With P2 these are midpoints of edges; its values at vertices are extrapolated."""
+    scene = membrane(load=-8, lower=-0.1, report={"most": "max(p)"})
+    answer = solve(scene, element="P2", cells=16)
+    assert np.isclose(answer.record["report"]["most"], largest(COMM, answer.pressure.x.array), rtol=1e-9)
+
+
+def test_infinite_extremes():
+    """They are null, without a place."""
+    record = solve(membrane(load=-1, lower=-0.1, report={"high": "max(1/u)", "low": "min(ln(-u))"})).record
+    assert record["report"] == {"high": None, "low": None}

@@ -108,6 +108,33 @@ def test_data_that_jump_inside_cells(name, mesh):
         assert "reason" not in found and found["energy"]["verdict"] == "settled"
 
 
+TOP = {"on": "top", "value": 0}
+UNRESOLVED = {
+    "a part that ends inside an edge": (
+        {"boundary": [TOP, {"where": "y == 0 and x < 0.26", "flux": 1}]}, "not made of whole edges"),
+    "an obstacle on a part that jumps": (
+        {"load": -10, "boundary": [TOP, {"on": "bottom", "lower": "where(x < 0.31, -0.1, -1e20)"}]},
+        "lower jumps inside cells"),
+    "a load that jumps in time": (
+        {"rate": 1, "load": "where(t < 0.31, 1, 0)*(x < 0.5)", "time": {"end": 1, "steps": 16, "start": 0}},
+        "load jumps in time"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNRESOLVED)
+def test_what_three_meshes_have_at_the_same_wrong_place(name):
+    """Nothing is settled, and the reason is named."""
+    data, words = UNRESOLVED[name]
+    found = solve(membrane(report={"vol": "integral(u)"}, **data), uncertainty=True).record["uncertainty"]
+    assert words in found["reason"] and found["report"]["vol"]["verdict"] == "not settled"
+
+
+def test_meshes_that_are_coarser_along_one_side_only():
+    """Of a strip that is one cell wide no coarser mesh tells anything."""
+    scene = membrane(mesh={"shape": "rectangle", "cells": 16, "y": [0, 0.04]}, load=1, report={"vol": "integral(u)"})
+    assert "along each side" in solve(scene, uncertainty=True).record["uncertainty"]["reason"]
+
+
 def test_penetration_tends_to_0():
     """Its distance from its limit is itself, whatever its order."""
     found = solve(membrane(load=-10, lower=-0.1), cells=16, uncertainty=True).record

@@ -100,6 +100,8 @@ def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
     cells, reference = np.arange(own_cells(level.mesh)), Reference(level.mesh)
     points, weights = rule(level.mesh.topology.dim, 2)
     size = reference.measures(cells, points[None]) * weights
+    if isinstance(answer, Answer) and answer.scene.model.radial:
+        size *= corners(level.mesh, cells)[..., 0] @ points.T
     slopes = size.sum(axis=1) * (reference.gradients(e, cells, points[None, :1])[:, 0] ** 2).sum(axis=1)
     l2, gradient = total(comm, size * reference.values(e, cells, points[None]) ** 2), total(comm, slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}

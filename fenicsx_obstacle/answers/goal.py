@@ -21,7 +21,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.adapt import BULK, Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.jumps import JUMPS, cells_with_jumps, jump_inside
+from fenicsx_obstacle.answers.jumps import cells_with_jumps, unresolved
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
@@ -180,8 +180,8 @@ class GoalAdaptation(Adaptation):
         found = self._guaranteed(context) if self._bounded else None
         if found is None:
             self._bounded, found = False, self.with_eps(lambda: self._refined(context))
-            jump = jump_inside(context.problem.data)  # of which no finer mesh is known to have it at the right place
-            self.words = "estimated" if jump is None else f"estimated, not settled: {jump.source} {JUMPS}"
+            reason = unresolved(context.problem.data)  # no finer mesh is known to have a jump at the right place
+            self.words = "estimated" if reason is None else f"estimated, not settled: {reason}"
         answer, self.estimate = found
         self.note(answer, self.estimate.error, self.estimate.relative, self.estimate.unknowns)
         return answer, self.estimate.indicator

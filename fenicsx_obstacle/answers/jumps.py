@@ -1,4 +1,5 @@
-"""Data that jump inside cells: a mesh has their jump somewhere else, by up to a cell."""
+"""Data that jump inside cells or in time, and parts of the boundary that end inside facets: a mesh has their jump
+somewhere else, by up to a cell, time steps by up to a step."""
 
 from __future__ import annotations
 
@@ -7,35 +8,56 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field, fields_in
+from fenicsx_obstacle.estimation.edges import cut_parts
+from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 JUMPS = "jumps inside cells; lay edges of cells along the jump"  # of a datum, in messages
+IN_TIME = "jumps in time, perhaps within a step"
 HALVINGS = 30  # of lengths: a Lipschitz function differs by 1e-9 of what it did, a root by 3e-5
 JUMP = 1e-3  # of the range of the datum, from which on a difference that is left is a jump
 INSIDE = 1e-6  # of the way from a vertex to the midpoint: a jump on facets is none inside cells
 
 
-def jump_inside(data: Data) -> Field | None:
-    """The first datum of effects and obstacles in the domain that jumps inside a cell; None if none does
-    (collective)."""
-    comm = data.level.comm
-    return next((field for field, cells in _jumps(data) if total(comm, np.count_nonzero(cells)) > 0), None)
+def unresolved(data: Data) -> str | None:
+    """The first datum of effects and obstacles that jumps inside a cell or in time, or part of the boundary that ends
+    inside a facet, in words; None if there is none (collective)."""
+    comm, mesh = data.level.comm, data.level.mesh
+    for field in _data(data):
+        if field.moves and not field.continuous:
+            return f"{field.source} {IN_TIME}"
+    for field, cells in _jumps(data):
+        if total(comm, np.count_nonzero(cells)) > 0:
+            return f"{field.source} {JUMPS}"
+    flat = mesh.geometry.dim == mesh.topology.dim and releases.cell_name(mesh) in SIMPLICES
+    if flat and any(part.where is not None for part in data.model.boundary):
+        return next(iter(cut_parts(Simplices(data))), None)
+    return None
 
 
 def cells_with_jumps(data: Data) -> np.ndarray:
-    """Whether a datum of effects and obstacles in the domain jumps inside each owned cell (collective)."""
+    """Whether a datum of effects and obstacles jumps inside each owned cell (collective)."""
     none = np.zeros(own_cells(data.level.mesh), dtype=bool)
     return np.logical_or.reduce([none, *(cells for _, cells in _jumps(data))])
 
 
+def _data(data: Data) -> list[Field]:
+    """The data of effects and obstacles."""
+    model = data.model
+    on_parts = [obstacle for part in model.boundary for obstacle in (part.lower, part.upper)]
+    return list(fields_in([model.lower, model.upper, *on_parts, *map(vars, model.effects)]))
+
+
 def _jumps(data: Data) -> Iterator[tuple[Field, np.ndarray]]:
     """Each datum that may jump, and whether it does in each owned cell (collective)."""
-    level, model = data.level, data.model
+    level = data.level
     count = own_cells(level.mesh)
-    for field in fields_in([model.lower, model.upper, *map(vars, model.effects)]):
+    for field in _data(data):
         for name, part in (field.parts or {"": field}).items():
             cells = level.groups[name] if field.parts is not None else np.arange(count)
             if not (part.uniform or part.continuous):
@@ -58,7 +80,7 @@ def _jumping(data: Data, field: Field, cells: np.ndarray) -> np.ndarray:
 
     def differs(x: np.ndarray, which: np.ndarray) -> np.ndarray:
         """By how much, where it has no condition that holds in a part of a simplex: 0."""
-        known = here.over(x[..., :gdim], names, which)
+        known = None if field.moves else here.over(x[..., :gdim], names, which)
         if known is not None:
             bounds = known.once()
             return np.where(bounds.whole, 0.0, np.asarray(bounds.upper) - bounds.lower)

@@ -19,11 +19,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.jumps import JUMPS, jump_inside
+from fenicsx_obstacle.answers.jumps import unresolved
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.errors import InputError, NotConverged, PenetrationWarning
+from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
 
 _log = logging.getLogger(__name__)
@@ -36,7 +37,10 @@ HIGHEST = 2.0  # order that is believed at most
 SAFETY = 1.5  # times what extrapolation says
 SHRINKS = 0.85  # last change over the one before, from which on it does not become smaller
 GROWS = 0.03  # last change over the value, from which on a value that grows is called unbounded
-REASON = "it takes two coarser meshes: a number of cells that 4 divides, 16 or more, or --refine 2 for a file"
+REASON = (
+    "it takes two coarser meshes: along each side a number of cells that 4 divides, 16 or more along x; or --refine 2 "
+    "for a file"
+)
 REASON_STEPS = "it takes two solves with fewer steps: a number of steps under [time] that 4 divides"
 REASON_TOLERANCE = "it takes steps that are scaled as h, and [time] tolerance chooses them; give their number instead"
 
@@ -124,9 +128,9 @@ def with_uncertainties(answer: Answer, data: Data) -> Answer:
     except InputError as error:
         found = {"reason": str(error)}
     else:
-        jump = jump_inside(data)
-        remark = {} if jump is None else {"reason": f"{jump.source} {JUMPS}"}
-        found = {**compared(three, level.pair.degree, resolved=jump is None), **remark}
+        reason = unresolved(data)
+        remark = {} if reason is None else {"reason": reason}
+        found = {**compared(three, level.pair.degree, resolved=reason is None), **remark}
         found = level.comm.bcast({**found, "seconds": time.perf_counter() - start})
     return replace(answer, record={**answer.record, "uncertainty": found})
 
@@ -174,5 +178,7 @@ def coarser_scenes(scene: Scene, eps: float | None) -> list[Scene]:
         if moments is not None and moving:
             changes["time.steps"] = moments.steps // 2**halvings
         coarser = scene.change(changes)
+        if rest and shape_of(scene).cells != tuple(2**rest * n for n in shape_of(coarser).cells):
+            raise InputError(REASON)
         found.append(coarser if eps is None else coarser.with_options(replace(coarser.options, eps=times * eps)))
     return found

@@ -29,6 +29,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, nearest
 
 EQUAL = 1e-9  # relative difference of values that count as the same extreme
+OF_CONTACT = ("p", "contact")  # fields with nodes of their own
 FEW_POINTS = 12  # of quadrature in a cell
 GAUSS_DEGREE = 7  # of the rule along each axis of quadrilaterals and hexahedra
 
@@ -148,8 +149,11 @@ class Report:
         return self._extreme(expression, 1.0 if name_of(call) == "sup" else -1.0)
 
     def _extreme(self, expression: Formula, sign: float) -> float:
-        """The largest or least value at nodes; its place is kept, of equal ones the first by coordinates."""
-        nodes = self._reference.nodes(self.level.V)[None]
+        """The largest or least value at nodes, of what contact enters at its own; its place is kept, of equal ones the
+        first by coordinates."""
+        named = self.scene.needs(expression) & self._nodal.keys()
+        space = next((self._nodal[name].function_space for name in OF_CONTACT if name in named), self.level.V)
+        nodes = self._reference.nodes(space)[None]
         mine: list[tuple[float, list[float]]] = []
         for block in _parts(self._every):
             values = sign * self._inside(expression, Points(block, nodes))
@@ -159,7 +163,7 @@ class Report:
                 mine.append((np.nan, [np.nan]))
                 continue
             best = values.max()
-            cells, points = np.nonzero(values >= best - EQUAL * abs(best))
+            cells, points = np.nonzero(values >= _nearly(best))
             x = np.einsum("cv,cvi->ci", nodes[0][points], self._corners[block][cells])
             x = x[:, : self.level.mesh.geometry.dim]
             mine.append((float(best), x[np.lexsort(x.T[::-1])[0]].tolist()))
@@ -167,7 +171,7 @@ class Report:
         best = max((value for value, _ in found), default=-np.inf)
         if any(np.isnan(value) for value, _ in found):
             return np.nan
-        self._last_place = min(place for value, place in found if value >= best - EQUAL * abs(best))
+        self._last_place = min((place for value, place in found if value >= _nearly(best)), default=[])
         return sign * best
 
     def _rule(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +245,7 @@ class Report:
         return np.linalg.norm(self._reference.gradients(self._nodal["u"], cells, where), axis=2)
 
     def _tension(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray | float:
-        values = self.data.cellwise(self.data.model.elastic.value)
+        values = self.data.cellwise(self.data.model.elastic.value, positive=True)
         if isinstance(values, fem.Constant):
             return float(values.value)
         return self._reference.values(values, cells, where)
@@ -340,3 +344,8 @@ def _parts(cells: np.ndarray, points: int = 1) -> list[np.ndarray]:
     return [cells[block] for block in blocks(len(cells), max(1, AT_ONCE * FEW_POINTS // max(points, FEW_POINTS)))] or [
         cells
     ]
+
+
+def _nearly(best: float) -> float:
+    """From which on values count as this one."""
+    return best - EQUAL * abs(best) if np.isfinite(best) else best

@@ -188,7 +188,7 @@ class Study:
         if by == "eps" and eps is not None and not answer.scene.model.vector_valued:
             extras["to_vi"] = self._solves.to_reference(answer)
         at_rest = self.last.time is None
-        if by == "h" and work.exact is not None and at_rest:
+        if by == "h" and work.exact is not None and at_rest and not answer.scene.model.thin:
             dual = work.exact.dual.error(answer.pressure, eps)
             extras["errors"] = {**answer.record["errors"], "pressure_dual": dual}
         return extras

@@ -108,9 +108,10 @@ class Solves:
             self._distance = Distance(self.work.problem)
         assert self._distance is not None
         u, p = answer.u.x.array - self._reference.u.x.array, self._reference.pressure.x.array
-        pressure = {"pressure_l2": self._distance.pressure(answer.pressure.x.array - p),
-                    "pressure_max": largest(answer.level.comm, np.abs(p))}  # fmt: skip
-        return {**self._distance.of_u(u), **pressure}
+        distances = {**self._distance.of_u(u), "pressure_max": largest(answer.level.comm, np.abs(p))}
+        if not answer.scene.model.thin:  # otherwise it is a force per length
+            distances["pressure_l2"] = self._distance.pressure(answer.pressure.x.array - p)
+        return distances
 
     def _serves(self, scene: Scene) -> bool:
         """Whether the scene differs from the last in its method and its eps only."""
