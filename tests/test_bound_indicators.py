@@ -125,3 +125,34 @@ def test_parts_that_meet_in_a_vertex(stiff):
     boundary = [{"where": "x == 0", "value": 0}, {"where": "x == 2", "value": 5}, {"where": "x >= 3", "value": "x"}]
     scene = Scene(mesh=mesh_of(corners, cells), tension=f"where(x > 2.5, {stiff}, 1)", boundary=boundary)
     assert "meet in a vertex only" in solve(scene, bound=True).bound.words
+
+
+ENCLOSED = {
+    "a definition named like two coordinates": (
+        {"define": {"xy": "1e5*sin(16*pi*x)*sin(16*pi*y)"}, "mesh": {**PLANE, "cells": 16}, "load": "xy"}, 650),
+    "a load in a corner of cells": ({"load": "where(abs(x - 0.5) + abs(y - 0.5) < 1e-8, 1e17, 0)"}, 34),
+    "a polynomial that is small in a strip": (
+        {"mesh": {**PLANE, "cells": 1}, "load": "where(x^8 < 1e-13, 1e6, 0)"}, 1e4),
+    "a steep function that is small in a strip": (
+        {"mesh": {**PLANE, "cells": 4}, "load": "where(exp(120*x) < 2, 1e8, 0)"}, 2.5e4),
+    "values on an edge alone": (
+        {"mesh": {**PLANE, "y": [0.3, 1.3], "cells": 1},
+         "boundary": [{"value": "where(y <= 0.3, 5000*x*(x - 0.25)*(x - 0.5)*(x - 0.75)*(1 - x)*(1 + x^2), 0)"}]}, 290),
+    "a condition between numbers": (
+        {"load": "where(log10(100000) > 5, x, 1000*sin(8*pi*x)*sin(8*pi*y))", "mesh": {**PLANE, "cells": 16}}, 9),
+    "an angle whose sine is small": ({"mesh": {**PLANE, "x": [-2, -1]}, "load": "100*atan2(1e-13*(y - 0.4), x)"}, 17),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENCLOSED)
+def test_data_that_no_sample_shows(name):
+    """Their errors, and so their bounds, are larger than these numbers."""
+    data, least = ENCLOSED[name]
+    assert solve(Scene(**{"mesh": PLANE, "tension": 1, **data}), bound=True).bound.total > least
+
+
+def test_undefined_behind_a_condition():
+    """A condition does not guard a root that has no value on the side where it holds."""
+    load = "where(x > 0.255, sqrt(x - 0.27), 1)"
+    bound = solve(Scene(mesh={**PLANE, "cells": 4}, tension=1, load=load), bound=True).bound
+    assert "the load may be infinite or undefined" in bound.words

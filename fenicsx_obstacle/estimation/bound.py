@@ -186,6 +186,8 @@ class Estimator:
         for times, part in parts:
             indicator += times * part / max(norm(part), 1e-300)
         violated = self._violated(terms)
+        if not np.isfinite(bound):
+            violated.append("data may be undefined somewhere")
         certification = self._hypotheses.certification(violated, self.element.every_obstacle)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible

@@ -247,8 +247,10 @@ class _Near:
         self._known, self._corners, self.sampled = known, parts.x.shape[1], isinstance(known, _Samples)
         bounds, blurred = known.by_intervals() if first else (known.once(), np.zeros(len(parts.rows), dtype=bool))
         self.settled = ~blurred
-        lower, upper = _defined(bounds)
-        self.lower, self.upper = np.maximum(lower, parts.least), np.minimum(upper, parts.most)
+        within = replace(
+            bounds, lower=np.maximum(bounds.lower, parts.least), upper=np.minimum(bounds.upper, parts.most)
+        )
+        self.lower, self.upper = _defined(within)
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges
 
 CLOSE = 1e-12  # of the range of a linear function over a part: where it is so near a level, it is there
 EMPTY = 1e-14  # share of a part that is round-off
@@ -107,7 +108,10 @@ class Parts:
         whole = np.broadcast_to(np.eye(self.size), (len(kept), self.size, self.size))
         weights = np.concatenate([whole, *(part for _, part in found)])
         share = np.concatenate([np.ones(len(kept)), *(np.abs(np.linalg.det(part)) for _, part in found)])
-        filled = share > EMPTY  # where a line runs through a corner some have none, or only round-off
+        filled = share > EMPTY  # where a line runs through a corner some have none, or only round-off,
+        small = np.flatnonzero(~filled & (share > 0))  # unless they are small in all directions
+        whole_x = self.x[source[small]]
+        filled[small] = least_heights(weights[small] @ whole_x) > CLOSE * longest_edges(whole_x)
         source, weights, share = source[filled], weights[filled], share[filled]
         parts = self._replaced(source, weights @ self.x[source], weights @ self._inside[source], share)
         return parts, (weights @ values[source][..., None])[..., 0], np.abs(levels[source])

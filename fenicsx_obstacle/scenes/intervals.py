@@ -100,7 +100,7 @@ def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slop
         below, above = np.where(point, lower, below), np.where(point, upper, above)
     below, above = _known(below, -np.inf), _known(above, np.inf)
     whole, known = _all([p.whole for p in parents]), _all([*(p.defined for p in parents), np.asarray(defined)])
-    return Enclosure(below, above, np.asarray(degree), whole, known, slopes)
+    return Enclosure(below, above, np.minimum(degree, NO_POLYNOMIAL), whole, known, slopes)
 
 
 def _rounding(values: np.ndarray) -> np.ndarray:
@@ -213,7 +213,7 @@ def power(a: Enclosure, n: int) -> Enclosure:
     """A whole power, n >= 0."""
     if n == 0:
         return of_bounds(np.ones_like(a.lower), np.ones_like(a.lower), 0).inheriting(a)
-    if n % 2 == 0 and a.square is not None:
+    if n % 2 == 0 and a.square is not None and not np.any(a.lower == a.upper):
         return power(a.square, n // 2).inheriting(a)
     low, high = a.lower**n, a.upper**n
     if n % 2 == 0:
@@ -229,7 +229,7 @@ def raised(a: Enclosure, b: Enclosure) -> Enclosure:
     if not b.is_number:
         return exp(multiply(b, log(a)))
     exponent = float(b.lower)
-    if exponent == round(exponent) and abs(exponent) <= 1e6:
+    if abs(exponent) <= 1e6 and exponent == round(exponent):
         n = int(exponent)
         return power(a, n) if n >= 0 else _inverse(power(a, -n))
     defined = a.lower >= _least(a)
@@ -247,7 +247,11 @@ def _least(a: Enclosure) -> np.ndarray:
 def _beside_poles(found: Enclosure, *parts: Enclosure) -> Enclosure:
     """The same enclosure, cut where it is finite and what it is made of is not: it may jump at a pole."""
     infinite = reduce(or_, (np.isinf(part.lower) | np.isinf(part.upper) for part in parts))
-    return found.cut(infinite & found.finite) if infinite.any() else found
+    if not infinite.any():
+        return found
+    beside, slopes = infinite & found.finite, found.slopes
+    steep = Slopes(lambda k: np.where(beside, np.inf, slopes.order(k)))
+    return replace(found.cut(beside), slopes=steep)
 
 
 def _outer(name: str, a: Enclosure) -> Slopes:
@@ -271,7 +275,10 @@ def log(a: Enclosure) -> Enclosure:
 
 
 def log10(a: Enclosure) -> Enclosure:
-    return divide(log(a), constant(float(np.log(10.0))))
+    found = divide(log(a), constant(float(np.log(10.0))))
+    low, high = (np.log10(np.maximum(end, 0.0)) for end in (a.lower, a.upper))
+    point = a.lower == a.upper  # as NumPy has it
+    return replace(found, lower=np.where(point, low, found.lower), upper=np.where(point, high, found.upper))
 
 
 exp, sinh, tanh, atan = (
@@ -354,7 +361,7 @@ def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     """It jumps across the negative x-axis, which counts as a condition; on one side of it, the axis included, it does
     not."""
     corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
-    size = np.maximum(np.abs(x.lower), np.abs(y.upper - y.lower))
+    size = np.maximum(np.abs(y.lower), np.abs(y.upper))
     margin = 1e-12 * np.where(np.isfinite(size), size, 0.0)
     across = (x.lower < 0) & (y.lower < -margin) & (y.upper > margin)
     below = (x.lower < 0) & (y.lower < -margin) & ~across

@@ -18,7 +18,7 @@ from fenicsx_obstacle.scenes import intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
 from fenicsx_obstacle.scenes.tree_walk import Cells, TreeWalk, chosen
-from fenicsx_obstacle.scenes.vocabulary import CONSTANTS
+from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS
 
 FEW = 2000  # cells, for which walking through a formula costs more than arithmetic
 ZERO, ONE = constant(0.0), constant(1.0)
@@ -155,14 +155,14 @@ class _Forms:
         x, y, z = self._middle.T
         if name in CONSTANTS:
             return Form(constant(CONSTANTS[name]), self._none)
-        if name in "xyz":
-            axis = "xyz".index(name)
+        if name in AXES:
+            axis = AXES.index(name)
             return Form(_point(self._middle[:, axis]), self._along(*(ONE if axis == k else ZERO for k in range(3))))
         if name == "distance":
             return Form(self._walk.name(name), tuple(EITHER for _ in self._none))
         if name == "r":
             r = self._walk.name("r")
-            along = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xyz")
+            along = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in AXES)
             return Form(_point(np.sqrt(x**2 + y**2 + z**2)), self._along(*along))
         if name == "theta":
             r = intervals.hypot(self._walk.name("x"), self._walk.name("y"))

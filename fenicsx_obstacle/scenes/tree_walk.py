@@ -23,7 +23,7 @@ from fenicsx_obstacle.effects.field import Truth
 from fenicsx_obstacle.scenes import derivative_bounds, intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
-from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, Vocabulary
+from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS, COORDINATES, Vocabulary
 
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
@@ -64,7 +64,11 @@ class Cells:
             corners, own = self.corners[cells[start : start + at_once]], found[start : start + at_once]
             x = np.zeros((3, own.size))
             for axis in range(corners.shape[2]):
-                np.matmul(corners[..., axis], points.T, out=x[axis].reshape(own.shape))
+                along = corners[..., axis]
+                np.matmul(along, points.T, out=x[axis].reshape(own.shape))
+                # sums of barycentric coordinates are not exactly 1: points on a side stay on it
+                low, high = polynomials.row_min(along)[:, None], polynomials.row_max(along)[:, None]
+                np.clip(x[axis].reshape(own.shape), low, high, out=x[axis].reshape(own.shape))
             known = {} if self.distance is None else {"distance": self.distance(x.T)}
             own[:] = self.vocabulary.at_points(formula, x, known).reshape(own.shape)
         return found
@@ -112,15 +116,15 @@ class TreeWalk:
         corners = self.cells.corners
         if name in CONSTANTS:
             return intervals.constant(CONSTANTS[name])
-        if name in "xyz":
-            axis = "xyz".index(name)
+        if name in AXES:
+            axis = AXES.index(name)
             if axis >= corners.shape[2]:
                 return intervals.constant(0.0)
             x = corners[:, :, axis]
             low, high = polynomials.row_min(x), polynomials.row_max(x)
             return intervals.of_bounds(low, high, np.where(low == high, 0, 1), derivative_bounds.COORDINATE)
         if name == "r":
-            squares = [intervals.power(self.name(axis), 2) for axis in "xyz"]
+            squares = [intervals.power(self.name(axis), 2) for axis in AXES]
             return intervals.distance(intervals.sqrt(intervals.add(intervals.add(*squares[:2]), squares[2])))
         if name == "theta":
             least = np.maximum(intervals.hypot(self.name("x"), self.name("y")).lower, 0.0)
@@ -225,8 +229,8 @@ class TreeWalk:
         """The coordinate that a node is, up to its sign and a number; otherwise empty."""
         if self.number(formula, node).slopes is not derivative_bounds.COORDINATE:  # nor shifted
             return ""
-        needs = self.cells.vocabulary.needs(formula.part(node)) & set(COORDINATES)
-        return needs.pop() if len(needs) == 1 and needs <= set("xyz") else ""
+        needs = self.cells.vocabulary.needs(formula.part(node)) & {*COORDINATES, "distance"}
+        return needs.pop() if len(needs) == 1 and needs <= set(AXES) else ""
 
     def _floor(self, a: Enclosure) -> Enclosure:
         """Decided where it is one number inside the cell."""
@@ -308,7 +312,7 @@ class TreeWalk:
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
                 values, least, most, allowance = self._sharp(part, int(d), cells)
                 low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
-                allowance = np.maximum(allowance, TOUCHING * scale[cells])
+                allowance = np.maximum(allowance if d <= 1 else 0.0, TOUCHING * scale[cells])
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
                 inside = (least < -allowance) & (most > allowance)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
@@ -374,10 +378,11 @@ Nearest = Callable[[TreeWalk, Formula, np.ndarray], tuple[np.ndarray, np.ndarray
 
 
 def _size(enclosures: list[Enclosure]) -> np.ndarray:
-    """Largest absolute value of numbers that are compared."""
-    sizes = [np.maximum(np.abs(part.lower), np.abs(part.upper)) for part in enclosures]
-    largest = np.maximum.reduce(np.broadcast_arrays(*sizes))
-    return np.where(np.isfinite(largest), largest, 0.0)
+    """Size of numbers that are compared where they are equal: that of the one that is less, unless this is 0."""
+    sizes = np.broadcast_arrays(*(np.maximum(np.abs(part.lower), np.abs(part.upper)) for part in enclosures))
+    least, largest = np.minimum.reduce(sizes), np.maximum.reduce(sizes)
+    size = np.where(least > 0, least, largest)
+    return np.where(np.isfinite(size), size, 0.0)
 
 
 def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:

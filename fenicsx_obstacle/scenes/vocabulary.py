@@ -13,7 +13,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.scenes.formulas import Formula
 
-COORDINATES = ("x", "y", "z", "r", "theta")
+AXES = ("x", "y", "z")
+COORDINATES = (*AXES, "r", "theta")
 CONSTANTS = {"pi": math.pi}
 TIME = "t"
 
