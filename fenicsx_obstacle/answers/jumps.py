@@ -10,6 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.time_discretization import EQUILIBRIA
 from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -28,7 +29,9 @@ def unresolved(data: Data) -> str | None:
     """The first datum of effects and obstacles that jumps inside a cell or in time, or part of the boundary that ends
     inside a facet, in words; None if there is none (collective)."""
     comm, mesh = data.level.comm, data.level.mesh
-    for field in _data(data):
+    moments = data.model.time
+    steps = moments is not None and moments.order > EQUILIBRIA  # of which each depends on those before
+    for field in _data(data) if steps else ():
         if field.moves and not field.continuous:
             return f"{field.source} {IN_TIME}"
     for field, cells in _jumps(data):
@@ -36,7 +39,8 @@ def unresolved(data: Data) -> str | None:
             return f"{field.source} {JUMPS}"
     flat = mesh.geometry.dim == mesh.topology.dim and releases.cell_name(mesh) in SIMPLICES
     if flat and any(part.where is not None for part in data.model.boundary):
-        return next(iter(cut_parts(Simplices(data))), None)
+        of_p1 = data.level.coarse if data.level.pair.degree > 1 else None
+        return next(iter(cut_parts(Simplices(data if of_p1 is None else data.on(of_p1)))), None)
     return None
 
 

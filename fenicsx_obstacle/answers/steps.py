@@ -150,8 +150,9 @@ def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, tim
 
 
 def _in_words(model: Model) -> dict[str, str]:
-    """All data by their place in the scene."""
-    return {field.source.removeprefix(f"{model.source}: "): field.text for field in model.data}
+    """Formulas and numbers by their place in the scene."""
+    of_text = [field for field in model.data if field.pointwise or field.uniform]
+    return {field.source.removeprefix(f"{model.source}: "): field.text for field in of_text}
 
 
 def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, TimeHistory]:
