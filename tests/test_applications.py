@@ -210,6 +210,7 @@ def test_seepage_through_a_dam(high, low):
     assert low != 4 or np.isclose(face, 8.706, atol=5e-4)
 
 
+@pytest.mark.slow
 def test_minimal_surface_over_a_plate():
     """TAO's area on its mesh, all six digits of 1.60115; the penalty within 0.1 %. Finer meshes find less area."""
     scene = application("plate")

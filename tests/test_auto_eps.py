@@ -172,6 +172,7 @@ def test_the_remedy_where_nothing_converges(dim, load):
     assert "start from another u, or take the method vi" in words or "round-off determines u" in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 @pytest.mark.parametrize(("dim", "degree"), [(1, 2), (2, 1)])
 def test_contact_alone_in_any_unit(dim, degree, method):
@@ -203,6 +204,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_all_steps_in_time_have_the_same_eps(motion, folder):
     """A penetration that another eps makes smaller is no motion: a force of its own would grow with 1/dt."""

@@ -7,7 +7,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
-from tests.conftest import COMM
+from tests.conftest import COMM, slow_except
 from tests.helpers import mesh_of
 
 SQUARE = {"shape": "rectangle", "cells": 8, "perturb": 0.2}
@@ -79,7 +79,7 @@ UNPROVED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", UNPROVED)
+@pytest.mark.parametrize("name", slow_except(UNPROVED, *list(UNPROVED)[:3]))
 def test_what_is_not_proved_is_not_certified(name):
     """Hypotheses of the theorem that no node shows; each of these errors is or may be above the bound."""
     data, words = UNPROVED[name]
@@ -144,7 +144,7 @@ ENCLOSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ENCLOSED)
+@pytest.mark.parametrize("name", slow_except(ENCLOSED, *list(ENCLOSED)[:3]))
 def test_data_that_no_sample_shows(name):
     """Their errors, and so their bounds, are larger than these numbers."""
     data, least = ENCLOSED[name]

@@ -101,6 +101,7 @@ def test_flux_with_axial_symmetry():
     context.close()
 
 
+@pytest.mark.slow
 def test_what_has_no_bound_with_axial_symmetry():
     """u given on the axis, and effects that no proof covers: an indicator, with the reason."""
     data = {"tension": 1, "load": 4, "axial_symmetry": True}

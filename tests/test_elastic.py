@@ -134,6 +134,7 @@ def profile(nodes, width):
     return np.sqrt(np.polyfit(x[inner] ** 2, nodes.pressure[inner] ** 2, 1)[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_cylinder(method):
     """Hertz, plane strain: a = 2 sqrt(P R/(pi E*)) by moments and p0 = 2 P/(pi a) within 0.3 % (a/h = 10, P2)."""

@@ -30,6 +30,7 @@ def within_factor_2(answer, exact):
     return true / 2 <= found.error <= 2 * true
 
 
+@pytest.mark.slow
 def test_force():
     """Contact force: the true error is within a factor 2 of the estimate, and is below the tolerance."""
     answer = solve(catalogue.scene("disk_flat").change(COARSE), tol=0.01, goal="force")

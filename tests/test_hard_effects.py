@@ -149,6 +149,7 @@ def test_ranks():
             "ranks: the same u in the energy norm"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_harder_and_harder_obstacles():
     """n = 3.8 with eps = 1e-12: where Newton and line searches fail, softer obstacles lead there."""
     rows = list(judge(case("power_3.8").on(0), COMM, (1e-12,), ("penalty",)))

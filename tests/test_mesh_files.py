@@ -150,6 +150,7 @@ def two_squares(model):
     occ.synchronize()
 
 
+@pytest.mark.slow
 def test_cells_that_are_in_no_group(folder):
     """With groups of cells the others are not part of the mesh, as in what Gmsh saves itself; that is said."""
 

@@ -502,6 +502,7 @@ def test_comparison_takes_the_elements_own_values():
     assert found < linear / 10
 
 
+@pytest.mark.slow
 def test_pair_of_ones_own_is_read(folder):
     """A registered pair that P1 simplices do not hold."""
     register(Pair("mine", 2, {"quadrilateral": nodal_rule("quadrilateral", 2)}, ("Lagrange", 2)))

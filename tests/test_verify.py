@@ -187,6 +187,7 @@ def test_wrong_bodies():
         assert not other.verify()
 
 
+@pytest.mark.slow
 def test_what_has_no_check():
     problem, solution, _ = membrane()
     del problem
