@@ -35,7 +35,7 @@ def check(session: nox.Session) -> None:
         return
     session.run(LAUNCHER, "--version", silent=True, external=True)  # sets up what is missing
     for words in (("ruff", "check", "."), ("ruff", "format", "--check", "."), ("vulture",), ("mypy",),
-                  ("lint-imports", "--config", "pyproject.toml")):  # fmt: skip
+                  ("lint-imports", "pyproject.toml")):  # fmt: skip
         session.run(str(BIN / words[0]), *words[1:], external=True)
 
 
@@ -64,7 +64,10 @@ def tests(session: nox.Session) -> None:
         chosen, given = (), given[1:]
         if not alone:
             check(session)
-    named = any(Path(word.partition("::")[0]).exists() for word in given)
+    files = [word.partition("::")[0] for word in given]
+    if missing := [file for file in files if file.endswith(".py") and not Path(file).exists()]:
+        session.error(f"no such file: {', '.join(missing)}")
+    named = any(Path(file).exists() for file in files)
     for number in ranks:
         words = [*(() if named else chosen), *(ON_ALL_CORES if number == "1" else ())]
         if not (alone or named or number == "1"):
