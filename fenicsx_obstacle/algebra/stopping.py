@@ -135,7 +135,7 @@ class Stopping:
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._small_correction(elastic)
+        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._correction_is_small(elastic)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
@@ -177,7 +177,7 @@ class Stopping:
         active[~problem.touchable] = 0
         return active, residual
 
-    def _small_correction(self, elastic: np.ndarray) -> bool:
+    def _correction_is_small(self, elastic: np.ndarray) -> bool:
         """Whether the correction of u by one step of Jacobi, the sum of |r_i|/A_ii, is small beside its range
         (collective).
 
