@@ -112,6 +112,10 @@ TOP = {"on": "top", "value": 0}
 UNRESOLVED = {
     "a part that ends inside an edge": (
         {"boundary": [TOP, {"where": "y == 0 and x < 0.26", "flux": 1}]}, "not made of whole edges"),
+    "a load that changes within a part of a cell": (
+        {"load": "-10/(1 + exp(1e3*(x - 0.255)))", "lower": -0.1}, "load changes within a small part of a cell"),
+    "a tension that changes within a part of a cell": (
+        {"tension": "1 + 1e3*(0.5 + atan(1e4*(x + y - 0.61))/pi)", "load": -10}, "tension changes within"),
     "an obstacle on a part that jumps": (
         {"load": -10, "boundary": [TOP, {"on": "bottom", "lower": "where(x < 0.31, -0.1, -1e20)"}]},
         "lower jumps inside cells"),

@@ -1,9 +1,9 @@
 """Data that jump inside cells or in time, and parts of the boundary that end inside facets: a mesh has their jump
-somewhere else, by up to a cell, time steps by up to a step."""
+somewhere else, by up to a cell, time steps by up to a step. A change within a small part of a cell is a jump to it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations, permutations
 
 import numpy as np
@@ -19,9 +19,11 @@ from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 JUMPS = "jumps inside cells; lay edges of cells along the jump"  # of a datum, in messages
+STEEP = "changes within a small part of a cell; refine there, or lay edges of cells along it"
 IN_TIME = "jumps in time, perhaps within a step"
 HALVINGS = 30  # of lengths: a Lipschitz function differs by 1e-9 of what it did, a root by 3e-5
 JUMP = 1e-3  # of the range of the datum, from which on a difference that is left is a jump
+LAYER, WITHIN = 0.25, 5  # of the range of the datum, after so many halvings: a line has 1/32, a root 0.18
 INSIDE = 1e-6  # of the way from a vertex to the midpoint: a jump on facets is none inside cells
 
 
@@ -34,9 +36,9 @@ def unresolved(data: Data) -> str | None:
     for field in _data(data) if steps else ():
         if field.moves and not field.continuous:
             return f"{field.source} {IN_TIME}"
-    for field, cells in _jumps(data):
+    for field, cells, what in _jumps(data):
         if total(comm, np.count_nonzero(cells)) > 0:
-            return f"{field.source} {JUMPS}"
+            return f"{field.source} {what}"
     flat = mesh.geometry.dim == mesh.topology.dim and releases.cell_name(mesh) in SIMPLICES
     if flat and any(part.where is not None for part in data.model.boundary):
         of_p1 = data.level.coarse if data.level.pair.degree > 1 else None
@@ -45,9 +47,9 @@ def unresolved(data: Data) -> str | None:
 
 
 def cells_with_jumps(data: Data) -> np.ndarray:
-    """Whether a datum of effects and obstacles jumps inside each owned cell (collective)."""
+    """Whether a datum of effects and obstacles jumps inside each owned cell, or nearly so (collective)."""
     none = np.zeros(own_cells(data.level.mesh), dtype=bool)
-    return np.logical_or.reduce([none, *(cells for _, cells in _jumps(data))])
+    return np.logical_or.reduce([none, *(cells for _, cells, _ in _jumps(data))])
 
 
 def _data(data: Data) -> list[Field]:
@@ -57,22 +59,20 @@ def _data(data: Data) -> list[Field]:
     return list(fields_in([model.lower, model.upper, *on_parts, *map(vars, model.effects)]))
 
 
-def _jumps(data: Data) -> Iterator[tuple[Field, np.ndarray]]:
-    """Each datum that may jump, and whether it does in each owned cell (collective)."""
+def _jumps(data: Data) -> Iterator[tuple[Field, np.ndarray, str]]:
+    """Each datum that may jump or be steep, whether it is so in each owned cell, and which of both (collective)."""
     level = data.level
     count = own_cells(level.mesh)
     for field in _data(data):
         for name, part in (field.parts or {"": field}).items():
             cells = level.groups[name] if field.parts is not None else np.arange(count)
-            if not (part.uniform or part.continuous):
-                yield part, np.bincount(_jumping(data, part, cells), minlength=count) > 0
+            if not part.uniform:
+                for found, what in _jumping(data, part, cells):
+                    yield part, np.bincount(found, minlength=count) > 0, what
 
 
-def _jumping(data: Data, field: Field, cells: np.ndarray) -> np.ndarray:
-    """Those of some owned cells in which a datum jumps (collective).
-
-    Each simplex is bisected, and the half is kept in which the datum differs more. A jump is a difference that is left.
-    """
+def _jumping(data: Data, field: Field, cells: np.ndarray) -> Iterator[tuple[np.ndarray, str]]:
+    """Those of some owned cells in which a datum jumps, and those in which it is steep (collective)."""
     level, here, names = data.level, data.here(field), data.names(field)
     dim, gdim = level.mesh.topology.dim, level.mesh.geometry.dim
     x = corners(level.mesh, cells)
@@ -80,20 +80,47 @@ def _jumping(data: Data, field: Field, cells: np.ndarray) -> np.ndarray:
     which, x = np.repeat(cells, simplices.shape[1]), simplices.reshape(-1, dim + 1, 3)
     values = here.at(x.reshape(-1, 3).T, names, np.repeat(which, dim + 1))
     values = values[np.isfinite(values)]
-    limit = JUMP * (largest(level.comm, values) - smallest(level.comm, values))
+    range_of_values = largest(level.comm, values) - smallest(level.comm, values)
 
-    def differs(x: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """By how much, where it has no condition that holds in a part of a simplex: 0."""
-        known = None if field.moves else here.over(x[..., :gdim], names, which)
-        if known is not None:
-            bounds = known.once()
-            return np.where(bounds.whole, 0.0, np.asarray(bounds.upper) - bounds.lower)
+    def sampled(x: np.ndarray, which: np.ndarray) -> np.ndarray:
         points = np.concatenate([x, x.mean(axis=1, keepdims=True)], axis=1)
         there = here.at(points.reshape(-1, 3).T, names, np.repeat(which, dim + 2)).reshape(-1, dim + 2)
         return np.ptp(there, axis=1)
 
+    def known(x: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """By how much it differs, where it has no condition that holds in a part of a simplex: 0."""
+        found = None if field.moves else here.over(x[..., :gdim], names, which)
+        if found is None:
+            return sampled(x, which)
+        bounds = found.once()
+        return np.where(bounds.whole, 0.0, np.asarray(bounds.upper) - bounds.lower)
+
+    if not field.continuous:
+        yield _changing(x, which, known, HALVINGS * dim, JUMP * range_of_values), JUMPS
+    yield _changing(x, which, sampled, WITHIN * dim, LAYER * range_of_values), STEEP
+
+
+def _changing(
+    x: np.ndarray,
+    which: np.ndarray,
+    differs: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    halvings: int,
+    limit: float,
+) -> np.ndarray:
+    """Those of some cells in which a datum changes by more than a limit within a part (a number of collective calls
+    that is the same on all ranks).
+
+    Each simplex is bisected, and the half is kept in which the datum differs more.
+
+    Args:
+        x: Simplices, shape (n, dim + 1, 3).
+        which: Their cells.
+        differs: By how much the datum differs in each simplex.
+        halvings: How often they are bisected.
+        limit: The change.
+    """
     left = differs(x, which)
-    for _ in range(HALVINGS * dim):  # as many on all ranks
+    for _ in range(halvings):  # as many on all ranks
         there = ~(left <= limit)
         x, which = x[there], which[there]
         first, second = _halves(x)
