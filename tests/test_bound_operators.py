@@ -76,6 +76,17 @@ def test_point_load_inside_a_cell(at):
     assert bound.total == pytest.approx(4 * (t * (1 - t) / 16 / 2) ** 0.5, abs=2e-6 if t < 1e-9 else 1e-9)
 
 
+@pytest.mark.parametrize(("cells", "at"), [(20, 0.3), (10, 0.7), (20, 0.15)])
+def test_a_point_load_beside_its_node_by_round_off(cells, at):
+    """It is at the distance d of the node's last digit, and the error F (d/tension)^(1/2) is 1e-8 of u."""
+    scene = Scene(mesh={"shape": "interval", "cells": cells}, tension=2, point_load=[{"at": at, "force": 4}],
+                  boundary=[{"value": 0}])  # fmt: skip
+    solution = solve(scene, bound=True, comm=COMM)
+    apart = -largest(COMM, -np.abs(solution.level.points[0] - at))
+    assert 0 < apart < 1e-15
+    assert 4 * (apart / 2) ** 0.5 * (1 - 1e-9) <= solution.bound.total < 1e-7
+
+
 def test_flux_with_axial_symmetry():
     """On a mesh with moved vertices the flux r tau is continuous, 0 on the axis, and balances load and contact."""
     context = SolverContext(ball(6).change({"mesh.perturb": 0.2}), COMM)

@@ -58,13 +58,15 @@ class PointForces:
         rows, cells, _ = locate(level, points)
         found = np.bincount(rows, minlength=len(points))
         level.comm.Allreduce(MPI.IN_PLACE, found, MPI.SUM)
-        force = np.array([force for _, force in given])[rows] / found[rows]
+        whole = np.array([force for _, force in given])[rows]
+        force = whole / found[rows]
         x, length = simplices.x[cells, :, 0], simplices.area[cells]
         t = np.clip((points[rows, 0] - x[:, 0]) / (x[:, 1] - x[:, 0]), 0.0, 1.0)
-        away = np.minimum(t, 1 - t)
-        near = away <= AT_VERTEX
+        away = np.abs(x - points[rows, :1]).min(axis=1)
+        near = away <= AT_VERTEX * length
         self.at_vertices = cells[near], np.where(t[near] < 0.5, 1, 0), force[near]
-        np.add.at(self.moved, cells, np.where(near, np.abs(force) * np.sqrt(away * length), 0.0))
+        # two cells may be found, of which only one has the point: its share is the whole force
+        np.add.at(self.moved, cells, np.where(near, np.abs(whole) * np.sqrt(away), 0.0))
         force = np.where(near, 0.0, force)
         np.add.at(self.moments, cells, np.stack([force * (1 - t), force * t], axis=1))
         np.add.at(self.norm, cells, np.abs(force) * np.sqrt(length * (t**3 + (1 - t) ** 3) / 3))
