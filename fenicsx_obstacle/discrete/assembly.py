@@ -25,6 +25,7 @@ from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -409,10 +410,7 @@ def weights_of_cells(pair: Pair, V: fem.FunctionSpace) -> np.ndarray:
     """
     mesh = V.mesh
     parts = pair.cell_weights(corners(mesh, slice(own_cells(mesh))))
-    D = fem.Function(V)
-    np.add.at(D.x.array, releases.cell_dofs(V)[: len(parts)].ravel(), parts.ravel())
-    releases.add_ghosts(D)
-    weights = D.x.array[: V.dofmap.index_map.size_local].copy()
+    weights = AroundNodes(V, releases.cell_dofs(V)[: len(parts)]).sums(parts)[: V.dofmap.index_map.size_local]
     if smallest(mesh.comm, weights) <= 0:
         raise InputError(f"element {pair.name}: {pair.not_positive} (3.6)")
     return weights

@@ -31,6 +31,7 @@ from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import cell_facets
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.validation import place
@@ -184,13 +185,9 @@ class ContactNodes:
         at = np.einsum("ij,ij->i", factors, around)
         at = np.where((around <= 0).all(axis=1), np.minimum(at, 0.0), at)  # extrapolation does not change the sign
         at = np.where((around >= 0).all(axis=1), np.maximum(at, 0.0), at)
-        sums = fem.Function(V)
-        table = sums.x.array.reshape(len(values), self.components)
-        np.add.at(table[:, 0], targets, at)
-        np.add.at(table[:, 1], targets, 1.0)
-        releases.add_ghosts(sums)
-        sums.x.scatter_forward()
-        return np.where(table[:, 1] > 0, table[:, 0] / np.maximum(table[:, 1], 1.0), values)
+        around = AroundNodes(V, targets)
+        sums, counts = around.sums(at), around.sums(np.ones(len(at)))
+        return np.where(counts > 0, sums / np.maximum(counts, 1.0), values)
 
     def bounds(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Bounds of the normal component at the contact nodes.
