@@ -24,6 +24,7 @@ from ufl.classes import Derivative, Zero
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.data.admissible import worst
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.fields import check_real, foreign
 from fenicsx_obstacle.data.model import Model
@@ -336,11 +337,11 @@ class VectorData(Data):
         u = given.reshape(len(given) // self.level.components, self.level.components)[nodes]
         beyond = side * (np.einsum("ij,ij->i", normals, u) - (g[nodes] - offset) / factor)
         beyond[beyond <= BEYOND * size + PLACE * self.extent] = -np.inf
-        most = largest(comm, beyond)
-        if most > 0:
-            worst = nodes[beyond >= most * (1 - 1e-9)]
-            points = (min(self.level.nodes.T[worst].tolist(), default=None),)
-            point = np.array(min(one for (one,) in comm.allgather(points) if one is not None))
+        excess = np.full(len(given), -np.inf)
+        excess[self.level.components * nodes] = beyond
+        found = worst(self, excess)
+        if found is not None:
+            most, point, _ = found
             word = "upper" if side > 0 else "lower"
             raise HeldBeyond(
                 f"{self.model.source}: a given value of u is beyond the {word} obstacle by {most:.3g} at "
