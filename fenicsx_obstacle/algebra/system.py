@@ -352,11 +352,6 @@ class System:
             return False
         return is_m_matrix(self.A, self.matrices.diagonal, self.comm)
 
-    @property
-    def loose_without_contact(self) -> bool:
-        """Whether the first active set of SNES VI has to be that of a penalty solve."""
-        return False
-
     def gaps(self) -> tuple[np.ndarray, np.ndarray]:
         """Signed distances u - lower and upper - u at the points of I; inf where there is no obstacle."""
         none = np.broadcast_to(np.inf, len(self.weights))

@@ -53,7 +53,7 @@ def solve_vi(
     how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
-    if problem.loose_without_contact:
+    if problem.loose is not None:
         return require(_from_penalty(problem, how), problem, None, tolerance)
     if problem.affine or not problem.constrained or is_limited(problem, "vi"):
         return require(_settled(problem, how, multigrid), problem, None, tolerance)

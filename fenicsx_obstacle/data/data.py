@@ -26,7 +26,6 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.cells import cell_volumes
 from fenicsx_obstacle.mesh.levels import Level
-from fenicsx_obstacle.mesh.points import spread
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.mesh.tags import check_both_sides
 from fenicsx_obstacle.parallel import total
@@ -235,14 +234,6 @@ class Data(Samples):
         """Derivatives in time."""
         assert self.moment is not None
         return Motion(self.level, self.moment)
-
-    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
-        """Forces at points as forces at owned nodes, by barycentric coordinates (collective).
-
-        Raises:
-            InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
-        """
-        return spread(self.level, forces, f"{self.model.source}: {place}")
 
     # obstacles
 

@@ -25,7 +25,9 @@ from fenicsx_obstacle.effects.effect import Effect, residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
 from fenicsx_obstacle.forms.penalty import penalty, penalty_energy
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import corners, own_cells
+from fenicsx_obstacle.mesh.points import spread
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
@@ -118,7 +120,8 @@ class Forms:
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
         self.state: State = FunctionState(self.w, self.reference, self.below, self.above, self.multiplier, self.eps)
         given = [effect for effect in effects if effect.role == "point forces"]
-        vectors = [data.at_points(cast(Any, effect.value), f"[effects] {effect.key}") for effect in given]
+        table = f"{data.model.source}: [effects]"
+        vectors = [spread(data.level, cast(Any, effect.value), f"{table} {effect.key}") for effect in given]
         self.forces: np.ndarray | None = np.sum(vectors, axis=0) if vectors else None
         self.impulse: np.ndarray | None = None
         self._u, varied = self._unknown()
@@ -317,16 +320,18 @@ class Nodal(Affine, Forms):
 
     def _assembled(self) -> PETSc.Mat:
         """The stiffness."""
-        stiffness = Forms.create_matrix(self)
-        fem.petsc.assemble_matrix(stiffness, self._stiffness)
-        stiffness.assemble()
-        return stiffness
+        return self._filled(Forms.create_matrix(self))
 
     def _assemble_again(self) -> None:
         """Fill the stiffness with its present values."""
-        self.stiffness.zeroEntries()
-        fem.petsc.assemble_matrix(self.stiffness, self._stiffness)
-        self.stiffness.assemble()
+        self._filled(self.stiffness)
+
+    def _filled(self, A: PETSc.Mat) -> PETSc.Mat:
+        """The matrix, with the present values of the stiffness in Cartesian components."""
+        A.zeroEntries()
+        fem.petsc.assemble_matrix(A, self._stiffness)
+        A.assemble()
+        return A
 
     def _zero(self) -> fem.Constant:
         """u = 0."""
@@ -409,10 +414,7 @@ def weights_of_cells(pair: Pair, V: fem.FunctionSpace) -> np.ndarray:
     """
     mesh = V.mesh
     parts = pair.cell_weights(corners(mesh, slice(own_cells(mesh))))
-    D = fem.Function(V)
-    np.add.at(D.x.array, releases.cell_dofs(V)[: len(parts)].ravel(), parts.ravel())
-    releases.add_ghosts(D)
-    weights = D.x.array[: V.dofmap.index_map.size_local].copy()
+    weights = AroundNodes(V, releases.cell_dofs(V)[: len(parts)]).sums(parts)[: V.dofmap.index_map.size_local]
     if smallest(mesh.comm, weights) <= 0:
         raise InputError(f"element {pair.name}: {pair.not_positive} (3.6)")
     return weights

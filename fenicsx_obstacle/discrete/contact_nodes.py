@@ -24,6 +24,7 @@ from ufl.classes import Derivative, Zero
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.data.admissible import worst
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.fields import check_real, foreign
 from fenicsx_obstacle.data.model import Model
@@ -31,6 +32,7 @@ from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import cell_facets
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.validation import place
@@ -184,13 +186,9 @@ class ContactNodes:
         at = np.einsum("ij,ij->i", factors, around)
         at = np.where((around <= 0).all(axis=1), np.minimum(at, 0.0), at)  # extrapolation does not change the sign
         at = np.where((around >= 0).all(axis=1), np.maximum(at, 0.0), at)
-        sums = fem.Function(V)
-        table = sums.x.array.reshape(len(values), self.components)
-        np.add.at(table[:, 0], targets, at)
-        np.add.at(table[:, 1], targets, 1.0)
-        releases.add_ghosts(sums)
-        sums.x.scatter_forward()
-        return np.where(table[:, 1] > 0, table[:, 0] / np.maximum(table[:, 1], 1.0), values)
+        around = AroundNodes(V, targets)
+        sums, counts = around.sums(at), around.sums(np.ones(len(at)))
+        return np.where(counts > 0, sums / np.maximum(counts, 1.0), values)
 
     def bounds(self, g: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Bounds of the normal component at the contact nodes.
@@ -339,11 +337,11 @@ class VectorData(Data):
         u = given.reshape(len(given) // self.level.components, self.level.components)[nodes]
         beyond = side * (np.einsum("ij,ij->i", normals, u) - (g[nodes] - offset) / factor)
         beyond[beyond <= BEYOND * size + PLACE * self.extent] = -np.inf
-        most = largest(comm, beyond)
-        if most > 0:
-            worst = nodes[beyond >= most * (1 - 1e-9)]
-            points = (min(self.level.nodes.T[worst].tolist(), default=None),)
-            point = np.array(min(one for (one,) in comm.allgather(points) if one is not None))
+        excess = np.full(len(given), -np.inf)
+        excess[self.level.components * nodes] = beyond
+        found = worst(self, excess)
+        if found is not None:
+            most, point, _ = found
             word = "upper" if side > 0 else "lower"
             raise HeldBeyond(
                 f"{self.model.source}: a given value of u is beyond the {word} obstacle by {most:.3g} at "

@@ -57,15 +57,11 @@ class Drift:
     held: np.ndarray | None = None
     time: float = 0.0
 
-    def renewed(self, data: Data) -> Drift:
-        """The same drift with its present values (collective)."""
-        return Drift(self.velocity, peclet(data, self.velocity))
-
-
-def drift_of(data: Data) -> Drift:
-    """The drift of a model that has one (collective)."""
-    velocity = next(cast(Velocity, effect.value) for effect in data.model.effects if effect.role == "drift")
-    return Drift(velocity, peclet(data, velocity))
+    @classmethod
+    def of(cls, data: Data) -> Drift:
+        """The drift of a model that has one, with its present values (collective)."""
+        velocity = next(cast(Velocity, effect.value) for effect in data.model.effects if effect.role == "drift")
+        return cls(velocity, peclet(data, velocity))
 
 
 def peclet(data: Data, velocity: Velocity) -> float:

@@ -23,6 +23,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import Effect
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import Pair
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import corners
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.transfer import downward
@@ -157,12 +158,9 @@ def _tangents(level: Level) -> np.ndarray:
     own = level.mesh.topology.index_map(dim).size_local
     dofs, edges = releases.cell_dofs(V)[:own], vertices[:own, 1:] - vertices[:own, :1]
     spread = np.einsum("cei,cej->cij", edges, edges)
-    moments = np.empty((level.owned, 3, 3))
-    part = fem.Function(V)
+    around, moments = AroundNodes(V, dofs), np.empty((level.owned, 3, 3))
     for i in range(3):
         for j in range(i + 1):
             values = np.repeat(spread[:, i, j], dofs.shape[1])
-            part.x.array[:] = np.bincount(dofs.ravel(), values, len(part.x.array))
-            releases.add_ghosts(part)
-            moments[:, i, j] = moments[:, j, i] = part.x.array[: level.owned]
+            moments[:, i, j] = moments[:, j, i] = around.sums(values)[: level.owned]
     return np.ascontiguousarray(np.linalg.eigh(moments)[1].transpose(0, 2, 1)[:, 3 - dim :])

@@ -77,9 +77,9 @@ class Problem(MeshSystem):
             hint = HINT
             checks.append(torn)
         if any(effect.role == "drift" for effect in self.model.effects):
-            from fenicsx_obstacle.discrete.drift import drift_of, trapped  # only where a model has drift
+            from fenicsx_obstacle.discrete.drift import Drift, trapped  # only where a model has drift
 
-            self.drift = drift_of(self.data)
+            self.drift = Drift.of(self.data)
             checks.append(trapped)
         return hint, tuple(checks)
 
@@ -118,7 +118,7 @@ class Problem(MeshSystem):
         if changed:
             self.__dict__.pop("m_matrix", None)
         if self.drift is not None and (changed or not (self.affine and self.nodal)):  # otherwise the forms do not tell
-            self.drift = self.drift.renewed(self.data)
+            self.drift = self.drift.of(self.data)
         self.load = self._load_sum()
         check_limit_load(self)
         self._check_support()

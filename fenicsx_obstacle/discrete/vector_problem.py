@@ -56,9 +56,7 @@ class VectorForms(Nodal):
         return self._cartesian.PtAP(self._rotation)
 
     def _assemble_again(self) -> None:
-        self._cartesian.zeroEntries()
-        fem.petsc.assemble_matrix(self._cartesian, self._stiffness)
-        self._cartesian.assemble()
+        self._filled(self._cartesian)
         if self.stiffness is not self._cartesian:
             self._cartesian.PtAP(self._rotation, result=self.stiffness)
 
@@ -102,10 +100,6 @@ class VectorProblem(BodySystem, Problem):
 
     def _make_forms(self) -> VectorForms:
         return (VectorForms if self.affine else NonlinearVectorForms)(self.model.effects, self.data)
-
-    @property
-    def loose_without_contact(self) -> bool:
-        return self.floating
 
     def _checks(self) -> tuple[str, tuple[Check, ...]]:
         return "", (moves_freely,)

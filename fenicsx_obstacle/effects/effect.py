@@ -13,7 +13,7 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 import ufl
@@ -132,6 +132,21 @@ class Effect:
     convex: ClassVar[bool] = True  # it has a convex energy
     vector_valued: ClassVar[bool | None] = False  # whether u is a displacement; None: it does not matter
 
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
+        """The effect from its entry in the scene, by default a number, a formula or {material = value}.
+
+        Args:
+            raw: There.
+            place: Where, for messages.
+            reader: The scene.
+            **more: Of [[boundary]]: `part`, which of them, counted from 0.
+
+        Raises:
+            InputError: If it is not what the effect takes.
+        """
+        return cls(reader.value(raw, place), **more)
+
     def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
         """Its part of the residual a(u, v) - f(v), as far as it is a form."""
         return None
@@ -153,25 +168,6 @@ class Effect:
         return _text(self.value)
 
 
-@runtime_checkable
-class OwnEntry(Protocol):
-    """An effect whose entry in a scene is not, or not always, a number, a formula or {material = value}."""
-
-    @classmethod
-    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
-        """The effect from its entry in the scene.
-
-        Args:
-            raw: There.
-            place: Where, for messages.
-            reader: The scene.
-            **more: Of [[boundary]]: `part`, which of them, counted from 0.
-
-        Raises:
-            InputError: If it is not what the effect takes.
-        """
-
-
 @dataclass(frozen=True)
 class OnPart(Effect):
     """An effect on the part of a [[boundary]].
@@ -181,6 +177,10 @@ class OnPart(Effect):
     """
 
     part: int
+
+    @classmethod
+    def read(cls, raw: Any, place: str, reader: Reader, **more: Any) -> Effect:
+        return cls(reader.field(raw, place), **more)
 
 
 class Elastic(Effect):

@@ -229,28 +229,25 @@ class Field:
 class ByCells(Field):
     """Data by the names of cells: `tension = {steel = 1, rubber = "2 + x"}`."""
 
+    parts: Mapping[str, Field]
+
     def __init__(self, parts: Mapping[str, Field], source: str):
         self.parts, self.source = parts, source
 
     @property
     def text(self) -> str:  # type: ignore[override]
-        return "{" + ", ".join(f"{name} = {part.text}" for name, part in self._parts.items()) + "}"
-
-    @property
-    def _parts(self) -> Mapping[str, Field]:
-        assert self.parts is not None
-        return self.parts
+        return "{" + ", ".join(f"{name} = {part.text}" for name, part in self.parts.items()) + "}"
 
     @property
     def moves(self) -> bool:  # type: ignore[override]
-        return any(part.moves for part in self._parts.values())
+        return any(part.moves for part in self.parts.values())
 
     @property
     def needs_distance(self) -> bool:  # type: ignore[override]
-        return any(part.needs_distance for part in self._parts.values())
+        return any(part.needs_distance for part in self.parts.values())
 
     def because(self, point: np.ndarray, names: Names) -> str:
-        found = (part.because(point, names) for part in self._parts.values())
+        found = (part.because(point, names) for part in self.parts.values())
         return next((words for words in found if words), "")
 
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:

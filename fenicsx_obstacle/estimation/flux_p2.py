@@ -19,7 +19,6 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.estimation.multipliers import Multipliers, pushes
 from fenicsx_obstacle.estimation.patch_systems import PatchSystems
@@ -27,6 +26,7 @@ from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
 from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.parallel import total
 
 NEAR = 0.5  # of force/tension: a larger distance costs more than what moving the force to other cells does to the flux

@@ -87,10 +87,6 @@ class ExactData:
         """Sampled."""
         return self.data.eigenvalues(rows)
 
-    def at_points(self, forces: tuple[tuple[tuple[float, ...], float], ...], place: str) -> np.ndarray:
-        """At the nodes of V_h."""
-        return self.data.at_points(forces, place)
-
     def height(self, field: Field) -> Any:
         """The datum itself."""
         return self.cellwise(field)

@@ -9,13 +9,13 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.estimation.around_nodes import over_ranks
 from fenicsx_obstacle.estimation.boundary_values import DEGREE, NODES, TO_BERNSTEIN, Facets, places
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.mesh.around_nodes import over_ranks
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.parallel import total
 

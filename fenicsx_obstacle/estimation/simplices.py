@@ -11,9 +11,9 @@ from dolfinx import fem
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import cell_facets, corners, own_cells
 from fenicsx_obstacle.parallel import total
 

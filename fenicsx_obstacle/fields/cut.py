@@ -15,6 +15,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import given_cells, own_cells
 from fenicsx_obstacle.mesh.halving import Numbers
 from fenicsx_obstacle.mesh.levels import Level
@@ -148,13 +149,8 @@ def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
 
 def _means(level: Level, values: np.ndarray) -> np.ndarray:
     """The same at local nodes."""
-    dofs = releases.cell_dofs(level.V)[: len(values)].ravel()
-    sums, counts = fem.Function(level.V), fem.Function(level.V)
-    for function, part in ((sums, values.ravel()), (counts, np.ones(values.size))):
-        function.x.array[:] = np.bincount(dofs, part, len(function.x.array))
-        releases.add_ghosts(function)
-        function.x.scatter_forward()
-    return sums.x.array / counts.x.array
+    around = AroundNodes(level.V, releases.cell_dofs(level.V)[: len(values)])
+    return around.sums(values) / around.sums(np.ones(values.shape))
 
 
 def _fan(dim: int) -> np.ndarray:

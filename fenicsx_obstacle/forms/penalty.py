@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import ufl
+from dolfinx import fem
 from petsc4py import PETSc
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import Rule, facet_of, has_nodal_rule, nodal_rule
-from fenicsx_obstacle.releases import called
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
@@ -64,10 +65,10 @@ def penalty(
     domain = space.ufl_domain()
     measure = ufl.Measure("dx", domain=domain) if measure is None else measure
     if rule is None:
-        cell = called(domain.ufl_cell().cellname)
+        cell = releases.called(domain.ufl_cell().cellname)
         if "facet" in measure.integral_type():
             cell = facet_of(cell)
-        degree = _degree(space)
+        degree = releases.called(space.ufl_element().degree)
         if not has_nodal_rule(cell, degree):
             raise InputError(
                 f"penalty: v has degree {degree} on a {cell}: the nodes have no quadrature rule with positive weights; "
@@ -108,13 +109,10 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
     Raises:
         InputError: If eps is not positive or no obstacle is given.
     """
-    from dolfinx import fem
-
     if lower is None and upper is None:
         raise InputError("contact_pressure: give an obstacle, lower= or upper=")
     space = u.function_space
-    value = _real(getattr(eps, "value", eps), "contact_pressure: eps")
-    _check(value)
+    value = _positive(getattr(eps, "value", eps), "contact_pressure: eps")
     p = fem.Function(space, name="p")
     u_values = u.x.array
     if upper is not None:
@@ -125,33 +123,20 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
 
 
 def _nodal(g: Any, space: Any) -> Any:
-    from dolfinx import fem
-
-    from fenicsx_obstacle.releases import expression
-
     if isinstance(g, fem.Function) and g.function_space == space:
         return g.x.array
     if not isinstance(g, ufl.core.expr.Expr):
         return _real(g, "contact_pressure: the obstacle")
     nodal = fem.Function(space)
-    nodal.interpolate(expression(g, space))
+    nodal.interpolate(releases.expression(g, space))
     return nodal.x.array
-
-
-def _degree(space: Any) -> int:
-    element = space.ufl_element()
-    return called(element.degree)
 
 
 def _constant(domain: Any, eps: Any) -> Any:
     """eps as a Constant, so that no value of it is ever compiled into a form."""
     if isinstance(eps, ufl.core.expr.Expr):
         return eps
-    from dolfinx import fem
-
-    value = _real(eps, "penalty: eps")
-    _check(value)
-    return fem.Constant(domain, PETSc.ScalarType(value))
+    return fem.Constant(domain, PETSc.ScalarType(_positive(eps, "penalty: eps")))
 
 
 def _real(value: Any, place: str) -> float:
@@ -160,6 +145,8 @@ def _real(value: Any, place: str) -> float:
     return float(value)
 
 
-def _check(eps: float) -> None:
+def _positive(value: Any, place: str) -> float:
+    eps = _real(value, place)
     if not 0 < eps < np.inf:
         raise InputError(f"eps = {eps}: must be positive and finite")
+    return eps

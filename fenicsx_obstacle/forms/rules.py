@@ -6,9 +6,9 @@ in nodal values and the penalty acts node by node.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
+from math import prod
 from typing import Any
 
 from fenicsx_obstacle.errors import InputError
@@ -73,7 +73,7 @@ def nodal_rule(cell: str, degree: int = 1) -> Rule:
         return Rule(points, (_VOLUME[cell] / len(points),) * len(points))
     nodes = list(product(_LINE[degree], repeat=_DIMENSION.get(cell, 1)))
     points = tuple(tuple(x for x, _ in reversed(node)) for node in nodes)
-    return Rule(points, tuple(_product(w for _, w in node) for node in nodes))
+    return Rule(points, tuple(prod(w for _, w in node) for node in nodes))
 
 
 def has_nodal_rule(cell: str, degree: int) -> bool:
@@ -97,10 +97,3 @@ def midpoint_rule(cell: str) -> Rule:
 def facet_of(cell: str) -> str:
     """Name of the facets of a cell."""
     return _FACET[cell]
-
-
-def _product(factors: Iterable[float]) -> float:
-    result = 1.0
-    for factor in factors:
-        result *= factor
-    return result

@@ -9,15 +9,15 @@ ghosts in 0.9.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from dolfinx import fem, la
 from dolfinx import mesh as dmesh
+from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.around_nodes import over_ranks
 from fenicsx_obstacle.mesh.cells import cell_edges, given_cells, own_cells
 from fenicsx_obstacle.mesh.halving import Numbers
 from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
@@ -62,7 +62,7 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
         raise InputError("adaptive meshes need intervals, triangles or tetrahedra; use uniform refinement, 'refine'")
     marks, halves, order = _marks(mesh, marked)
     vertices, edges = V.dofmap.index_map, mesh.topology.index_map(1)
-    count, mine = vertices.size_local, marks.array[: edges.size_local] > 0
+    count, mine = vertices.size_local, marks[: edges.size_local]
     # points in the order of ranks, of each its vertices and then the middles of its marked edges
     first = before(comm, count + np.count_nonzero(mine))
     place = la.vector(edges)
@@ -76,36 +76,29 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     middle = np.empty((edges.size_local + edges.num_ghosts, gdim))
     middle[halves] = corner[:, sides].mean(axis=2)
     points = np.vstack([points_of_nodes(V)[:count, :gdim], middle[: edges.size_local][mine]])
-    chosen = np.where(marks.array[halves[:own]] > 0, order[halves[:own]], -1)
+    chosen = np.where(marks[halves[:own]], order[halves[:own]], -1)
     parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)
     new = releases.create_mesh(comm, number[parents[:, None], places], points, releases.cell_name(mesh), stay=True)
     rows = given_cells(new) - before(comm, len(parents))
     return new, parents[rows].astype(np.int32), places[rows].astype(np.int8)
 
 
-def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Marked edges as a vector of DOLFINx, edges of local cells, and the place of each local edge in order of length
+def _marks(mesh: dmesh.Mesh, marked: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whether each local edge is marked, edges of local cells, and the place of each local edge in order of length
     (collective)."""
     dim, own = mesh.topology.dim, own_cells(mesh)
     halves, edges = cell_edges(mesh), mesh.topology.index_map(1)
-    order = _by_length(mesh, halves, edges.size_local + edges.num_ghosts)
-    marks = la.vector(edges)
-    _mark(marks, halves[:own][marked])
+    count = edges.size_local + edges.num_ghosts
+    order, marks, found = _by_length(mesh, halves, count), np.zeros(count, dtype=bool), halves[:own][marked]
     faces = halves[:own][:, np.array(_FACES[dim])].reshape(-1, len(_FACES[dim][0]))
     longest = np.take_along_axis(faces, order[faces].argmax(axis=1)[:, None], axis=1)[:, 0]
     while True:
-        missing = (marks.array[faces] > 0).any(axis=1) & (marks.array[longest] == 0)
+        marks[found] = True  # on all ranks that have them
+        marks = over_ranks(edges, mesh.comm, marks.astype(float), PETSc.InsertMode.MAX) > 0
+        missing = marks[faces].any(axis=1) & ~marks[longest]
         if total(mesh.comm, np.count_nonzero(missing)) == 0:
             return marks, halves, order
-        _mark(marks, longest[missing])
-
-
-def _mark(marks: Any, edges: np.ndarray) -> None:
-    """Mark local edges, on all ranks that have them (collective)."""
-    marks.array[edges.ravel()] = 1.0
-    releases.add_ghosts(marks)
-    np.minimum(marks.array, 1.0, out=marks.array)
-    marks.scatter_forward()
+        found = longest[missing]
 
 
 def _by_length(mesh: dmesh.Mesh, halves: np.ndarray, count: int) -> np.ndarray:

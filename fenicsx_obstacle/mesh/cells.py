@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 from math import factorial
 
+import basix
 import numpy as np
 from dolfinx import mesh as dmesh
 
@@ -83,11 +84,7 @@ def facet_vertices(dim: int) -> list[list[int]]:
 
 def facet_corners(mesh: dmesh.Mesh) -> list[list[int]]:
     """Vertices of each facet of a cell of any kind, in DOLFINx's order."""
-    dim = mesh.topology.dim
-    if releases.cell_name(mesh) in SIMPLICES:
-        return facet_vertices(dim)
-    # the coordinates of a vertex on the reference cell are the digits of its number
-    return sorted([v for v in range(2**dim) if v >> axis & 1 == side] for axis in range(dim) for side in (0, 1))
+    return basix.topology(getattr(basix.CellType, releases.cell_name(mesh)))[-2]
 
 
 def own_cells(mesh: dmesh.Mesh) -> int:

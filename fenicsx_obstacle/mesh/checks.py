@@ -13,11 +13,11 @@ from itertools import chain, combinations
 import numpy as np
 from dolfinx import fem, la
 from dolfinx import mesh as dmesh
-from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import TENSORS
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import (
     barycentric,
     cell_facets,
@@ -69,13 +69,9 @@ class Components:
 
         Of a dof in several components, which meet in it, it is the one with the highest number.
         """
-        found = fem.Function(V)
-        if self.count > 1:
-            found.x.array[:] = -1.0
-            np.maximum.at(found.x.array, releases.cell_dofs(V), self.of_cells[:, None].astype(float))
-            releases.vec(found).ghostUpdate(addv=PETSc.InsertMode.MAX, mode=PETSc.ScatterMode.REVERSE)
-            found.x.scatter_forward()
-        return np.rint(found.x.array).astype(np.int32)
+        dofs = releases.cell_dofs(V)
+        values = np.broadcast_to(self.of_cells[:, None], dofs.shape).astype(float)
+        return AroundNodes(V, dofs).largest(values).astype(np.int32)
 
 
 def components(mesh: dmesh.Mesh) -> Components:
@@ -187,13 +183,7 @@ def _folded(mesh: dmesh.Mesh) -> int:
     """A local cell that lies on the same side of a facet as its neighbour, as after a vertex was moved too far; -1 if
     there is none. Hexahedra are not checked (local)."""
     dim, rows, vertices = mesh.topology.dim, releases.geometry_dofs(mesh), corners(mesh)
-    edges = (vertices[:, 1 : dim + 1] - vertices[:, :1])[:, :, :dim]
-    if dim == 1:
-        turn = edges[:, 0, 0]
-    elif dim == 2:
-        turn = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-    else:
-        turn = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), edges[:, 2])
+    turn = np.linalg.det((vertices[:, 1 : dim + 1] - vertices[:, :1])[:, :, :dim])
     # the orientation of each facet, vertices by their numbers, as seen from its cell: two neighbours must differ
     facets, table = facet_corners(mesh), cell_facets(mesh)
     if releases.cell_name(mesh) in TENSORS:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import combinations
 from typing import Any
 
+import basix
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
@@ -18,9 +18,6 @@ _KNOWN = {15: ("point", 1), 1: ("interval", 2), 2: ("triangle", 3), 3: ("quadril
           11: ("tetrahedron", 4), 12: ("hexahedron", 8), 16: ("quadrilateral", 4), 17: ("hexahedron", 8)}  # fmt: skip
 _CURVED = set(range(8, 18)) - {15}
 _TENSOR = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}  # DOLFINx's order of their vertices
-_SIDES: dict[str, list[tuple[int, ...]]] = {"interval": [(0,), (1,)], "quadrilateral": [(0, 1), (0, 2), (1, 3), (2, 3)],
-          "hexahedron": [(0, 1, 2, 3), (0, 1, 4, 5), (0, 2, 4, 6), (1, 3, 5, 7), (2, 3, 6, 7),
-                         (4, 5, 6, 7)]}  # fmt: skip
 _KINDS = ("point", "curve", "surface", "volume")
 _NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
 _LISTED = 5  # entities in a message
@@ -294,9 +291,7 @@ def _on_mesh(cell: str, cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
     """Whether each of these facets is a facet of a cell."""
     marked = np.zeros(cells.max() + 2, dtype=bool)
     marked[facets[facets < len(marked)]] = True
-    vertices = cells.shape[1]
-    members = _SIDES.get(cell) or list(combinations(range(vertices), vertices - 1))
-    sides = [cells[:, list(side)] for side in members]
+    sides = [cells[:, side] for side in basix.topology(getattr(basix.CellType, cell))[-2]]
     candidates = [side[marked[side].all(axis=1)] for side in sides]
     known = {tuple(row) for row in np.sort(np.concatenate(candidates), axis=1).tolist()}
     return np.array([tuple(row) in known for row in np.sort(facets, axis=1).tolist()], dtype=bool)

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import corners, duals
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.reference_cell import Reference
@@ -77,12 +78,10 @@ def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], plac
     if not found.all():
         outside = forces[int(np.argmin(found))][0]
         raise InputError(f"{place}: the point ({', '.join(f'{x:g}' for x in outside)}) is outside the mesh")
-    nodal = fem.Function(level.V)
     # on an edge all cells beside it say the same: each has its share
     share = np.array([force for _, force in forces])[rows] / found[rows]
-    np.add.at(nodal.x.array, releases.cell_dofs(level.V)[cells], weights * share[:, None])
-    releases.add_ghosts(nodal)
-    return nodal.x.array[: level.owned].copy()
+    around = AroundNodes(level.V, releases.cell_dofs(level.V)[cells])
+    return around.sums(weights * share[:, None])[: level.owned]
 
 
 def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -36,10 +36,8 @@ class Reference:
     def __init__(self, mesh: dmesh.Mesh):
         self.mesh, self.dim = mesh, mesh.topology.dim
         self.simplex = releases.cell_name(mesh) in SIMPLICES
-        if self.simplex:
-            self.vertices = np.vstack([np.zeros(self.dim), np.eye(self.dim)])
-        else:  # the digits of their numbers
-            self.vertices = np.array([[v >> axis & 1 for axis in range(self.dim)] for v in range(2**self.dim)], float)
+        self._kind = getattr(basix.CellType, releases.cell_name(mesh))
+        self.vertices = basix.geometry(self._kind)
         self.facets = facet_corners(mesh)
         self._linear = _linear(releases.cell_name(mesh))
 
@@ -121,14 +119,8 @@ class Reference:
 
     def normals(self, cells: np.ndarray, numbers: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Outward unit normals on facets of cells, on surfaces along them, shape (facets, points, 3)."""
-        outward = []
-        for members in self.facets:
-            x = self.vertices[members]
-            away = x.mean(axis=0) - self.vertices.mean(axis=0)
-            edges = (x[1:] - x[0]).reshape(len(x) - 1, self.dim)
-            normal = np.linalg.svd(edges)[2][-1] if len(edges) else np.ones(1)
-            outward.append(normal * np.sign(normal @ away))
-        found = np.einsum("cpid,cd->cpi", self.duals(cells, where), np.array(outward)[numbers])
+        outward = basix.cell.facet_outward_normals(self._kind)[numbers]
+        found = np.einsum("cpid,cd->cpi", self.duals(cells, where), outward)
         return found / np.linalg.norm(found, axis=2, keepdims=True)
 
     def pulled_back(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 from fenicsx_obstacle.data.measured.table import MeasuredField
 from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
-from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart, OwnEntry, find, known
+from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart, find, known
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.definitions import Definitions
@@ -39,26 +39,18 @@ def effects_of(given: Definitions) -> tuple[Effect, ...]:
         raise InputError(f"{source}: [effects] has no stiffness: add 'tension = 1'")
     if len(elastic) > 1:
         raise InputError(f"{source}: [effects] names {' and '.join(elastic)}: only one of them is allowed")
-    effects = [_read(given, key, raw, f"[effects] {key}") for key, raw in given.tables.effects.items()]
+    effects = [find(key).read(raw, f"[effects] {key}", given) for key, raw in given.tables.effects.items()]
     for number, part in enumerate(given.tables.boundary):
         for key in sorted(known("boundary")):
             raw = getattr(part, key)
             if raw is not None:
-                effects.append(_read(given, key, raw, f"{part_place(number)} {key}", part=number))
+                effects.append(find(key).read(raw, f"{part_place(number)} {key}", given, part=number))
     _check_kinds(effects, source)
     for effect in effects:
         if (why := effect.conflict(effects)) is not None:
             place = "[[boundary]]" if isinstance(effect, OnPart) else "[effects]"
             raise InputError(f"{source}: {place} {why}")
     return tuple(effects)
-
-
-def _read(given: Definitions, key: str, raw: Any, place: str, **more: Any) -> Effect:
-    """The effect from its entry: that of its own, or a datum; of [effects] also one for each material."""
-    kind = find(key)
-    if issubclass(kind, OwnEntry):
-        return kind.read(raw, place, given, **more)
-    return kind((given.field if more else given.value)(raw, place), **more)
 
 
 def _check_kinds(effects: Sequence[Effect], source: str) -> None:

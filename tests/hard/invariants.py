@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.check.finding import Finding
+from fenicsx_obstacle.mesh.points import spread
 from fenicsx_obstacle.parallel import largest, total
 from tests.hard.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
 
@@ -46,7 +47,7 @@ def _equilibrium(s: Solved) -> Finding:
     net = 0.0  # a(u, 1) - f(1)
     for effect in problem.model.effects:
         if effect.role == "point forces":  # of no form
-            net -= total(g.comm, data.at_points(cast(Any, effect.value), effect.key))
+            net -= total(g.comm, spread(problem.level, cast(Any, effect.value), effect.key))
         lumped = effect.role == "load" and problem.level.pair.own_weights
         form = effect.terms(u, one, data)
         if lumped:  # with the weights of its pair
