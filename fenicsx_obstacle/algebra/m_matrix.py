@@ -1,4 +1,4 @@
-"""Checks that a stiffness matrix is an M-matrix, so that the maximum principle holds."""
+"""Checks of a stiffness matrix: whether it is symmetric, and an M-matrix, so that the maximum principle holds."""
 
 from __future__ import annotations
 
@@ -6,9 +6,26 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, total
 
 ROUND_OFF = 1e-12  # of the diagonal: the legs of a right angle give zero up to this
+
+
+def is_symmetric(A: PETSc.Mat) -> bool:
+    """Whether A x = A^T x up to round-off for a random x, row by row: one part may be much stiffer than the others
+    (collective)."""
+    x, random = A.createVecRight(), PETSc.Random().create(A.comm)
+    random.setInterval((-1.0, 1.0))
+    x.setRandom(random)
+    direct, transposed = A.createVecLeft(), A.createVecLeft()
+    A.mult(x, direct)
+    A.multTranspose(x, transposed)
+    A.getDiagonal(x)
+    size = np.abs(x.array_r) + np.abs(direct.array_r) + np.abs(transposed.array_r)
+    apart = total(A.comm.tompi4py(), ~(np.abs(direct.array_r - transposed.array_r) <= ROUND_OFF * size))
+    for owner in (x, random, direct, transposed):
+        owner.destroy()
+    return apart == 0
 
 
 def is_m_matrix(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) -> bool:

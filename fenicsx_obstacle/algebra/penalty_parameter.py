@@ -18,6 +18,7 @@ import numpy as np
 from fenicsx_obstacle.algebra.data_scales import negligible_force
 from fenicsx_obstacle.algebra.newton import diagonal_of, joined, smallest_eps, solve_penalty
 from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.separate_parts import ranges_in_parts
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE
 from fenicsx_obstacle.algebra.system import System
@@ -164,13 +165,30 @@ def penetration_and_range(problem: System) -> tuple[float, float]:
 
 
 def large_penetration(problem: System) -> str | None:
-    """A remark, if the penetration is not small compared with the range of u (collective)."""
+    """A remark, if the penetration is not small compared with the range of u, in some part (collective)."""
     penetration, height = penetration_and_range(problem)
-    if penetration <= PENETRATION * height:
+    where = "the range of u between the obstacles"
+    if penetration > PENETRATION * height:
+        share = "more than" if penetration > height else f"{penetration / height:.1%} of"
+    elif (in_parts := share_in_parts(problem)) > PENETRATION:
+        share, where = f"{in_parts:.1%} of", "the range of u in a part of the domain that given values separate"
+    else:
         return None
-    share = "more than the" if penetration > height else f"{penetration / height:.1%} of the"
-    where = "range of u between the obstacles"
     return f"penetration is {share} {where}: for accurate values take a smaller eps, or the method vi"
+
+
+def share_in_parts(problem: System) -> float:
+    """The largest share of the range of u that is the penetration, in parts that given values separate (collective).
+
+    0 unless the penalty is softer than A_ii at some contact node, as it may be on a mesh that is graded: elsewhere a
+    penetration is below the error of the mesh in the cells around it.
+    """
+    if not problem.nodal or smallest(problem.comm, _compliance_in_contact(problem)) >= problem.eps:
+        return 0.0
+    u = np.clip(problem.u, *problem.obstacles())
+    heights, penetrations = ranges_in_parts(problem, u, _excess(problem))
+    scaled = FLAT * penetrations < heights
+    return float(np.max(penetrations[scaled] / heights[scaled], initial=0.0))
 
 
 def fitting_eps(problem: System, eps: float) -> float:
@@ -178,7 +196,8 @@ def fitting_eps(problem: System, eps: float) -> float:
 
     It fits if
 
-    - the penetration is at most `PENETRATION` times the range of u between the obstacles, and
+    - the penetration is at most `PENETRATION` times the range of u between the obstacles, also in each part of the
+      domain that given values separate, and
     - at each contact node the penalty D_i/eps is much stiffer than A_ii, the stiffness of the solution. Then the
       penetration is small in each part of the domain, also in one that is much stiffer than the others. If the tension
       is among the data, eps is that of the largest tension, and fits.
@@ -193,6 +212,8 @@ def fitting_eps(problem: System, eps: float) -> float:
         return eps
     if FLAT * penetration < height and penetration > PENETRATION * height:
         fitting = AIM * PENETRATION * height / penetration * eps
+    elif (share := share_in_parts(problem)) > PENETRATION:
+        fitting = AIM * PENETRATION / share * eps
     if problem.tension() is None:  # otherwise eps is that of the largest tension
         least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
         if eps > TOO_SOFT * least:

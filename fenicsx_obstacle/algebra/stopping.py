@@ -33,6 +33,7 @@ TOLERANCE = 1e-10  # unbalanced force / acting forces
 ON_THE_WAY = 1e-2
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
 SMALL_CORRECTION = 1e-6  # of the range of u: the sum of |r_i|/A_ii
+SMALLER, IN_VAIN = 0.5, 3  # a correction is not smaller than half of the least before, in so many steps
 NEARLY_CONSTANT = 1e-2  # of |u|: below it the range of u is no scale
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 STALLED = 10  # steps
@@ -100,6 +101,8 @@ class Stopping:
     exact: bool = False
     before: np.ndarray | None = None
     history: list[Step] = field(default_factory=list)
+    _correction: float = np.inf
+    _vain: int = 0
     _seen: dict[tuple[bytes, ...], int] = field(default_factory=dict)
     _krylov: int = 0
 
@@ -182,7 +185,8 @@ class Stopping:
         (collective).
 
         Forces of one part, such as those of a stiff layer or spring, may exceed those of all others by so much that
-        the balance of their sum says nothing of these.
+        the balance of their sum says nothing of these. Where F is not linear the A_ii are those of the last step, or of
+        the state where a form degenerates: a correction that does not become smaller is no reason to go on.
         """
         if not self.row_by_row:
             return True
@@ -193,12 +197,16 @@ class Stopping:
         left = total(problem.comm, moved)
         del stiffness, moved
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        return left <= small_correction(problem) + rounded
+        if left <= small_correction(problem) + rounded:
+            return True
+        self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
+        self._correction = min(left, self._correction)
+        return not problem.affine and self._vain >= IN_VAIN
 
     @property
     def row_by_row(self) -> bool:
         """Whether forces are judged beside the stiffness of their nodes, too."""
-        return self.tolerance < ON_THE_WAY and self.problem.affine and self.problem.nodal
+        return self.tolerance < ON_THE_WAY and self.problem.nodal
 
     def _changes(self, changed: np.ndarray, floor: float) -> bool:
         """Whether the active set has changed; nodes whose contact force is round-off are not counted."""

@@ -31,7 +31,7 @@ from fenicsx_obstacle.data.measured.table import Table
 from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.levels import Level
-from fenicsx_obstacle.mesh.points import values_of
+from fenicsx_obstacle.mesh.points import ROUND_OFF, nearby, values_of
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.mesh.validation import place
 from fenicsx_obstacle.parallel import agree, first_given, largest, total
@@ -208,7 +208,9 @@ class OfFunction(Field):
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         if cells is not None:
             return np.ravel(self.function.eval(x.T, cells)) if len(cells) else np.empty(0)
-        rows, cells = releases.cells_near(self._mesh, x.T, 0.0, within=True)
+        extent = float(np.ptp(self._mesh.geometry.x, axis=0).max(initial=0.0))
+        rows, cells, _, gap, size = nearby(self._mesh, x.T, ROUND_OFF * extent)
+        rows, cells = rows[gap <= ROUND_OFF * size], cells[gap <= ROUND_OFF * size]
         found = np.full(x.shape[1], np.nan)
         first = np.unique(rows, return_index=True)[1]
         if len(first):

@@ -30,7 +30,7 @@ from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.mesh.points import spread
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-NO_WEIGHT = 1e-12  # of the largest: a node that is no point of I
+NO_WEIGHT = 1e-12  # of the largest in its cells: a node that is no point of I
 FAR = 1e300  # an infinite distance, in a form
 ROUND_OFF = 1e-12  # of the sum of the forces
 
@@ -76,6 +76,21 @@ def _owned(function: fem.Function) -> np.ndarray:
     """The values at owned dofs, in place."""
     dofmap = function.function_space.dofmap
     return function.x.array[: dofmap.index_map.size_local * dofmap.index_map_bs]
+
+
+def beyond_round_off(V: fem.FunctionSpace, values: np.ndarray) -> np.ndarray:
+    """Which values at local nodes are positive, and more than round-off of those at other nodes of their cells
+    (collective).
+
+    Of a mesh that is graded to a point the largest values are those of far larger cells.
+    """
+    sizes, comm = np.abs(values), V.mesh.comm
+    small = (values != 0) & (sizes < NO_WEIGHT * largest(comm, sizes))
+    if total(comm, np.count_nonzero(small)) == 0:
+        return values > 0
+    around = AroundNodes(V, releases.cell_dofs(V)[: own_cells(V.mesh)])
+    of_cells = sizes[around.nodes].max(axis=1, keepdims=True, initial=0.0)
+    return values > NO_WEIGHT * around.largest(np.broadcast_to(of_cells, around.nodes.shape))
 
 
 def assembled(form: ufl.Form, V: fem.FunctionSpace) -> fem.Function:
@@ -166,9 +181,9 @@ class Forms:
     def _point_weights(self) -> np.ndarray:
         level = self.data.level
         v = self.v if level.pair.nodal else ufl.TestFunction(level.Q)
-        values = _owned(assembled(v * self.rule.on(self.measure), v.ufl_function_space())).copy()
-        values[values < NO_WEIGHT * largest(level.comm, values)] = 0.0
-        return values * self.thickness
+        weights = assembled(v * self.rule.on(self.measure), v.ufl_function_space())
+        weights.x.array[~beyond_round_off(v.ufl_function_space(), weights.x.array)] = 0.0
+        return _owned(weights) * self.thickness
 
     def unit_load(self) -> np.ndarray:
         """int phi_i at owned dofs."""

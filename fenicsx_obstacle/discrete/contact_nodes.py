@@ -28,7 +28,7 @@ from fenicsx_obstacle.data.admissible import worst
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.fields import check_real, foreign
 from fenicsx_obstacle.data.model import Model
-from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled
+from fenicsx_obstacle.discrete.assembly import NO_WEIGHT, assembled, beyond_round_off
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import facet_of, midpoint_rule, nodal_rule
@@ -91,10 +91,8 @@ class ContactNodes:
         D = _integrals((1 if weight is None else weight) * v[0] * ds, V)[:, 0]
         sums = _integrals(ufl.dot(normal, v) * dI, V)
         sizes = _integrals((length * v[0] + v[1]) * dI, V)
-        most = largest(mesh.comm, D)
-        on = (NO_WEIGHT * most < D) & (sizes[:, 1] > NO_WEIGHT * largest(mesh.comm, sizes[:, 1]))
-        negative = -NO_WEIGHT * most > D
-        if total(mesh.comm, np.count_nonzero(negative)) > 0:
+        on = beyond_round_off(V, D) & beyond_round_off(V, sizes[:, 1])
+        if total(mesh.comm, np.count_nonzero(beyond_round_off(V, -D))) > 0:
             raise InputError(f"{name}: measure: its weight is negative somewhere: a node would have a negative area")
         self._check_normals(level, on, sums, sizes, name)
         self.facet_nodes = _facet_nodes(level, own)

@@ -68,7 +68,7 @@ def nodal_rule(cell: str, degree: int = 1) -> Rule:
         raise InputError(f"nodal_rule: cell = {shown(cell)}: {wanted}")
     if not has_nodal_rule(cell, degree):
         raise InputError(f"nodal_rule: degree {degree} on a {cell}: the nodes have no rule with positive weights (3.6)")
-    if cell in _VERTICES and degree == 1:
+    if cell in _VERTICES and (degree == 1 or cell == "vertex"):
         points = _VERTICES[cell]
         return Rule(points, (_VOLUME[cell] / len(points),) * len(points))
     nodes = list(product(_LINE[degree], repeat=_DIMENSION.get(cell, 1)))
@@ -78,7 +78,7 @@ def nodal_rule(cell: str, degree: int = 1) -> Rule:
 
 def has_nodal_rule(cell: str, degree: int) -> bool:
     """Whether the nodes of this degree have a rule with positive weights."""
-    return degree == 1 or (degree in _LINE and (cell in _DIMENSION or cell == "interval"))
+    return degree == 1 or cell == "vertex" or (degree in _LINE and (cell in _DIMENSION or cell == "interval"))
 
 
 def midpoint_rule(cell: str) -> Rule:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from dolfinx import fem
+from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
@@ -32,25 +33,41 @@ def locate(level: Level, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         Rows of `points`, cells, and weights of their vertices, as in `Reference`, shape (pairs, vertices).
     """
     mesh = level.mesh
-    if releases.cell_name(mesh) not in SIMPLICES:
-        rows, cells = releases.cells_near(mesh, points, 0.0, within=True)
-        return rows, cells, Reference(mesh).pulled_back(cells, points[rows])
     allowed = ROUND_OFF if mesh.topology.dim == mesh.geometry.dim else OFF_SURFACE
-    rows, cells = releases.cells_near(mesh, points, allowed * level.h_max)
-    distinct, back = np.unique(cells, return_inverse=True)  # of many points many lie in one cell
-    vertices = corners(mesh, distinct)
-    size = np.linalg.norm(vertices[:, 1:] - vertices[:, :1], axis=2).max(axis=1)[back]
-    there = points[rows] - vertices[back, 0]
-    inner = np.einsum("pdi,pi->pd", duals(vertices)[back], there)
-    weights = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
-    weights /= weights.sum(axis=1, keepdims=True)
-    edges = vertices[:, 1:] - vertices[:, :1]
-    gap = np.linalg.norm(np.einsum("pd,pdi->pi", weights[:, 1:], edges[back]) - there, axis=1)
+    rows, cells, weights, gap, size = nearby(mesh, points, allowed * level.h_max)
     nearest = np.full(len(points), np.inf)
     np.minimum.at(nearest, rows, gap)
     level.comm.Allreduce(MPI.IN_PLACE, nearest, MPI.MIN)
     holds = (gap <= allowed * size) & (gap <= nearest[rows] + ROUND_OFF * size)
     return rows[holds], cells[holds], weights[holds]
+
+
+def nearby(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.ndarray, ...]:
+    """The owned cells that may hold points, and the point of each cell that is nearest (local).
+
+    Args:
+        mesh: Mesh.
+        points: Shape (n, 3).
+        padding: A length by which the boxes around cells are widened.
+
+    Returns:
+        Of each pair the row of `points`; the cell; weights of its vertices, shape (pairs, vertices); distance of the
+        point from there; and size of the cell.
+    """
+    rows, cells = releases.cells_near(mesh, points, padding)
+    distinct, back = np.unique(cells, return_inverse=True)  # of many points many lie in one cell
+    vertices = corners(mesh, distinct)
+    edges = vertices[:, 1:] - vertices[:, :1]
+    size = np.linalg.norm(edges, axis=2).max(axis=1)[back]
+    there = points[rows] - vertices[back, 0]
+    if releases.cell_name(mesh) in SIMPLICES:
+        inner = np.einsum("pdi,pi->pd", duals(vertices)[back], there)
+        weights = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
+        weights /= weights.sum(axis=1, keepdims=True)
+    else:  # the search of DOLFINx has a tolerance that is a length
+        weights = Reference(mesh).nearest(cells, points[rows])
+    gap = np.linalg.norm(np.einsum("pd,pdi->pi", weights[:, 1:], edges[back]) - there, axis=1)
+    return rows, cells, weights, gap, size
 
 
 def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], place: str) -> np.ndarray:

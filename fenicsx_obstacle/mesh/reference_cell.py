@@ -123,6 +123,10 @@ class Reference:
         found = np.einsum("cpid,cd->cpi", self.duals(cells, where), outward)
         return found / np.linalg.norm(found, axis=2, keepdims=True)
 
+    def nearest(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """The same of the places (in the reference cell) in the cells that are nearest to such points."""
+        return self.weights(np.clip(self.pulled_back(cells, points) @ self.vertices, 0.0, 1.0))
+
     def pulled_back(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Weights of the vertices at one point (n, 3) in each of some cells, shape (n, vertices) (Newton's method)."""
         x = np.broadcast_to(self.vertices.mean(axis=0), (len(cells), self.dim)).copy()

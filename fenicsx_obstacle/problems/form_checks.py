@@ -212,9 +212,10 @@ def warn_of_indefinite(problem: Problem, form: ResidualForm | None, place: str) 
         return
     comm = problem.comm
     s = np.where(problem.fixed, 0.0, problem.u - problem.in_components(problem.cold_start()))
-    forces = problem.law.forces_at(s) - problem.law.forces_at(0.0)
-    curvature, size = (total(comm, one) for one in (s * forces, diagonal_of(problem) * s**2))
-    if curvature < -CURVATURE * size:
+    load = problem.law.forces_at(0.0)
+    forces = problem.law.forces_at(s) - load
+    curvature, size, of_load = (total(comm, one) for one in (s * forces, diagonal_of(problem) * s**2, np.abs(s * load)))
+    if curvature < -CURVATURE * size - ROUND_OFF * of_load:
         warn(
             comm,
             f"{place}: F = a(u, v) - f(v) is not positive definite: a(s, s) = {curvature:.3g} for the difference s "

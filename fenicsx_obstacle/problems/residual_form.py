@@ -18,11 +18,11 @@ from ufl.classes import Abs, Condition, Division, Jacobian, MathFunction, MaxVal
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.algebra.m_matrix import is_symmetric
 from fenicsx_obstacle.effects.effect import Elastic
 
 _NOT_SMOOTH = (Abs, Condition, MaxValue, MinValue)  # their derivative may hide that u decides
 _NO_POLYNOMIAL = (*_NOT_SMOOTH, Division, MathFunction, Power)
-ROUND_OFF = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,19 +136,3 @@ def by_one_rule(F: ufl.Form) -> ufl.Form:
 def expanded(form: ufl.Form) -> ufl.Form:
     """The form with derivatives carried out, in terms of components; factors of products are in UFL's order."""
     return remove_complex_nodes(apply_derivatives(apply_algebra_lowering(form)))
-
-
-def is_symmetric(A: PETSc.Mat) -> bool:
-    """Whether A x = A^T x up to round-off for a random x (collective)."""
-    x, random = A.createVecRight(), PETSc.Random().create(A.comm)
-    random.setInterval((-1.0, 1.0))
-    x.setRandom(random)
-    direct, transposed = A.createVecLeft(), A.createVecLeft()
-    A.mult(x, direct)
-    A.multTranspose(x, transposed)
-    size = direct.norm(PETSc.NormType.INFINITY)
-    direct.axpy(-1.0, transposed)
-    found = direct.norm(PETSc.NormType.INFINITY) <= ROUND_OFF * max(size, transposed.norm(PETSc.NormType.INFINITY))
-    for owner in (x, random, direct, transposed):
-        owner.destroy()
-    return bool(found)
