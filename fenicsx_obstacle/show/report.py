@@ -50,7 +50,7 @@ def report_answer(
     others = dict[str, Path]()
     if file is not None:
         said = answer.plot(file).said
-        if answer.bound is not None:
+        if answer.bound is not None and answer.bound.indicator is not None:  # which is not saved
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
             said += "\n  " + draw_bound(answer.bound, gather(answer.fields), comm, folder / NAME)
