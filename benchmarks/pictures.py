@@ -116,7 +116,7 @@ def steps(options: Any) -> str:
 def digit(options: Any) -> str:
     """Error against time, and the time of the fastest method for each digit."""
     rows = lines_of(options.cost)
-    page, (left, right) = figure(11.0, 4.6, columns=2, widths=(1.25, 1))
+    page, (left, right) = figure(11.0, 4.6, columns=2, width_ratios=(1.25, 1))
     names = ("P1 VI cold", "P1 eps = h", "P1 auto", "P2 auto", "P1 adaptive", "P2 adaptive")
     tints = ("0.55", COLOURS[1], COLOURS[0], "#56B4E9", COLOURS[2], "#E69F00")
     for name, tint, marker in zip(names, tints, "os^Dv*", strict=True):

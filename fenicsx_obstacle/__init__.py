@@ -64,29 +64,7 @@ _HOME = {
     "study": "studies.convergence",
 }
 
-__all__ = [
-    "Answer",
-    "Elasticity",
-    "InputError",
-    "NotConverged",
-    "ObstacleError",
-    "ObstacleProblem",
-    "PenetrationWarning",
-    "Scene",
-    "Solution",
-    "SystemSolution",
-    "Table",
-    "ball_gap",
-    "compare",
-    "contact_pressure",
-    "find",
-    "nodal_rule",
-    "penalty",
-    "plane_gap",
-    "solve",
-    "solve_system",
-    "study",
-]
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:

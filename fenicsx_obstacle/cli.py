@@ -250,31 +250,25 @@ def plot(result: Path, output: Path | None, along: str | None, compare: tuple[st
     RESULT is a folder of 'solve'; its page then shows the picture, unless --output (.png, .pdf, .svg) is given. It may
     also be a folder that Solution.save wrote in Python. With --along it writes RESULT/along.png and along.csv.
     """
+    if compare and along is None:
+        raise InputError("--compare: needs --along")
+    from fenicsx_obstacle.answers.answer import Answer
+
     if along is not None:
-        from fenicsx_obstacle.answers.answer import Answer
         from fenicsx_obstacle.answers.profiles import along_text, compare_text
         from fenicsx_obstacle.show.profiles import draw_line
 
         ends, formulas = along_text(along), dict(compare_text(one) for one in compare)
         tell(draw_line(Answer.read(result), *ends, output or result / "along.png", formulas))
         return
-    if compare:
-        raise InputError("--compare: needs --along")
-    from mpi4py import MPI
-
-    from fenicsx_obstacle.parallel import on_root
-
-    files = on_root(MPI.COMM_WORLD, lambda: [(result / name).exists() for name in ("answer.json", "scene.toml")])
-    if files == [True, False]:  # saved by ObstacleProblem
-        from fenicsx_obstacle.problems.solution import Solution
-
-        tell(Solution.read(result).plot(output or result / "answer.png").said)
-        return
-    from fenicsx_obstacle.answers.answer import Answer
+    from fenicsx_obstacle.answers.difference import read
     from fenicsx_obstacle.show.report import report_answer
 
-    answer = Answer.read(result)
-    tell(report_answer(answer, result, picture=True)[1] if output is None else answer.plot(output).said)
+    found = read(result)
+    if output is None and isinstance(found, Answer):
+        tell(report_answer(found, result, picture=True)[1])
+    else:
+        tell(found.plot(output or result / "answer.png").said)
 
 
 @commands.command()

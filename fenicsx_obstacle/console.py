@@ -107,12 +107,11 @@ def check_places(folder: Path, json_file: str | None, latex: Path | None = None)
     """Reject files and folders that cannot be written, before anything is computed (collective)."""
     from mpi4py import MPI
 
-    from fenicsx_obstacle.parallel import check_file, check_folder
+    from fenicsx_obstacle import parallel
 
-    check_folder(MPI.COMM_WORLD, folder)
-    for option, file in (("--json", json_file), ("--latex", latex)):
-        if file is not None and file != "-":
-            check_file(MPI.COMM_WORLD, Path(file), option)
+    given = {"--json": None if json_file == "-" else json_file, "--latex": latex}
+    files = {option: Path(file) for option, file in given.items() if file is not None}
+    parallel.on_root(MPI.COMM_WORLD, parallel.check_places, folder, files)
 
 
 def rows_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from fenicsx_obstacle.text import counted, printable
@@ -64,17 +65,11 @@ class NotConverged(ObstacleError):
 
     def changed(self, **values: Any) -> NotConverged:
         """The same error with another `solver`, `reason` or `eps`."""
-        kept = {"solver": self.solver, "reason": self.reason, "iterations": self.iterations, "eps": self.eps,
-                "h": self.h, **values}  # fmt: skip
-        return NotConverged(**kept)
+        return NotConverged(**{**vars(self), **values})
 
     def __reduce__(self):
         # exceptions travel between ranks by pickle, which knows nothing of keyword arguments
-        return (_rebuild, (self.solver, self.reason, self.iterations, self.eps, self.h))
-
-
-def _rebuild(solver: str, reason: str, iterations: int, eps: float | None, h: float) -> NotConverged:
-    return NotConverged(solver, reason, iterations, eps=eps, h=h)
+        return partial(NotConverged, **vars(self)), ()
 
 
 def interrupted(number: int, arguments: Sequence[str]) -> str:

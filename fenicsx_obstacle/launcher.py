@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -40,13 +40,9 @@ SESSIONS = {"test": "tests", "coverage": "coverage", "docs": "docs"}  # of noxfi
 PATIENCE = 1.0  # seconds in which mpirun may end by a signal that the terminal has sent to it as well
 
 
-def environment(given: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment of a process to start, on one rank or by `mpirun`.
-
-    Args:
-        given: The environment of this process, which may run under MPI itself.
-    """
-    kept = {key: value for key, value in given.items() if not key.startswith(_MPI)}
+def environment() -> dict[str, str]:
+    """The environment of a process to start, on one rank or by `mpirun`; this process may run under MPI itself."""
+    kept = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
     defaults = {key: kept.get(key) or value for key, value in DEFAULTS.items()}
     return {**kept, **defaults, **FIXED, **(OF_ROOT if os.geteuid() == 0 else {})}
 

@@ -127,35 +127,27 @@ def new_files(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
         raise
 
 
-def check_folder(comm: MPI.Comm, folder: Path) -> None:
-    """Reject a folder that cannot be written, before anything is computed; it is not changed (collective).
+def check_places(folder: Path, files: Mapping[str, Path]) -> None:
+    """Reject a folder and files that cannot be written, before anything is computed; nothing is changed (one rank).
+
+    Args:
+        folder: Of the results.
+        files: By the options that name them.
 
     Raises:
-        InputError: If the folder cannot be made or written to.
+        InputError: If a folder cannot be made or written to, or a file is a folder.
     """
-
-    def probe() -> None:
-        scratch, made = _scratch(folder)
-        remove_empty([scratch, *made])
-
-    on_root(comm, probe)
-
-
-def check_file(comm: MPI.Comm, file: Path, option: str) -> None:
-    """Reject a file, named by an option, that cannot be written (collective).
-
-    Raises:
-        InputError: If it is a folder, or its folder cannot be made or written to.
-    """
-
-    def probe() -> None:
+    _probe(folder, "--output")
+    for option, file in files.items():
         if file.is_dir():
             raise InputError(f"{option} {file}: is a folder; name a file")
         if not _is_device(file):
-            scratch, made = _scratch(file.parent, option)
-            remove_empty([scratch, *made])
+            _probe(file.parent, option)
 
-    on_root(comm, probe)
+
+def _probe(folder: Path, option: str) -> None:
+    scratch, made = _scratch(folder, option)
+    remove_empty([scratch, *made])
 
 
 def make_folder(folder: Path, option: str = "--output") -> list[Path]:

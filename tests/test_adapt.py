@@ -166,6 +166,8 @@ def test_picture_of_the_bound(tmp_path, dim):
     _, said = report_answer(answer, tmp_path, picture=True)
     assert (tmp_path / "bound.png").stat().st_size > 10_000
     assert "of the cells contribute half of the bound" in said
+    _, said = report_answer(Answer.read(tmp_path), tmp_path, picture=True)  # without the contribution of each cell
+    assert "drawn by" in said and not (tmp_path / "bound.png").exists()
 
 
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"

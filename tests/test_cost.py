@@ -49,7 +49,7 @@ def test_price_of_a_digit_is_ten_to_the_order():
     """error ~ t^-1/2: a digit costs 100 times the time; t^-1: 10 times; a cheaper line wins where lines cross."""
     rows = [EXACT, *line("slow", 0.5), *line("fast", 1.0, first=0.4)]
     p = price.price(rows, "energy")
-    assert p.choice == "fast" and p.factor == pytest.approx(10) and p.next_seconds == pytest.approx(2560)
+    assert p.line.name == "fast" and p.factor == pytest.approx(10) and p.way.cost(p.error / 10) == pytest.approx(2560)
     assert price.price([EXACT, *line("slow", 0.5)], "energy").factor == pytest.approx(100)
     names = [price.cheapest(rows, "energy", e)[0][0].name for e in (0.09, 0.005)]
     assert names == ["slow", "fast"]  # they cross at 16 s and 0.025

@@ -79,6 +79,7 @@ def test_study_page_holds_everything(study_page, disk):
     assert "not included" in words
     assert "paper: 1" in words  # orders beside the paper's
     assert len(re.findall(r"<tr><td>(?:8|16)</td>", text)) == 2
+    assert re.search(r"<tr><td>8</td>(<td>[^<]+</td>){3}<td></td>", text)  # the first row has no order
     assert "dolfinx" in words
     assert "petsc" in words
     ranks = f" --ranks {COMM.size}" if COMM.size > 1 else ""

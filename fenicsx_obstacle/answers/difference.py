@@ -42,7 +42,7 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     Raises:
         InputError: If their meshes are of different dimensions, u is vector-valued, or a folder has no result.
     """
-    a, b = (one if isinstance(one, Solution) else _read(Path(one)) for one in (a, b))
+    a, b = (one if isinstance(one, Solution) else read(Path(one)) for one in (a, b))
     if any("resultant" in one.record["contact"] for one in (a, b)):
         raise InputError("compare: vector-valued solutions are not compared; at() has their values at points")
     if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
@@ -75,7 +75,7 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     }
 
 
-def _read(folder: Path) -> Solution:
+def read(folder: Path) -> Solution:
     """Read a folder: the answer of a scene, or the solution of a form (collective).
 
     Raises:

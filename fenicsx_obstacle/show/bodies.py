@@ -11,7 +11,7 @@ import numpy as np
 from fenicsx_obstacle.mesh.cells import chains
 from fenicsx_obstacle.show.boundary import Patch, rim
 from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank, legend_below
-from fenicsx_obstacle.show.maps import draw_edges, heights, pressures
+from fenicsx_obstacle.show.maps import draw_edges, heights, pressures, triangles
 from fenicsx_obstacle.show.render import EYE, FREE, OBSTACLE, axes_of_view
 from fenicsx_obstacle.show.space import draw_views
 
@@ -44,8 +44,6 @@ def draw_body(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequenc
 
 def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[float]) -> Any:
     """The body near the contact set, and pressure and gap along the contact boundary."""
-    from matplotlib.tri import Triangulation
-
     page = blank(10.4, 4.6)
     grid = page.add_gridspec(2, 2, width_ratios=(1.25, 1), height_ratios=(1.6, 1))
     left, upper = page.add_subplot(grid[:, 0]), page.add_subplot(grid[0, 1])
@@ -54,7 +52,7 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     low, high, whole, factor = _near(points, u, nodes)
     side, moved = float(np.max(high - low)), points + factor * u
     colours, label = _stress(arrays)
-    shape = Triangulation(*moved.T, cells)
+    shape = triangles(moved, cells)
     if "von_mises" in arrays:
         left.tripcolor(shape, facecolors=arrays["von_mises"], cmap=colours.cmap, norm=colours.norm, zorder=1)
     else:

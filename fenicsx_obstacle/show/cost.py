@@ -97,7 +97,7 @@ def headline(rows: Rows) -> str:
         if p.factor is None
         else f"; one more digit takes {p.factor:.2g} times that"
     )
-    return f"Cost of accuracy: an energy error of {p.error:.1e} in {duration(p.seconds)} by {p.choice}{far}."
+    return f"Cost of accuracy: an energy error of {p.error:.1e} in {duration(p.seconds)} by {p.line.name}{far}."
 
 
 def _draw(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
@@ -147,10 +147,12 @@ def next_digit(rows: Rows) -> list[list[str]]:
         if p is None:
             continue
         after = ["not in sight", "", "", "", ""]
-        if p.factor is not None and p.next_seconds is not None:
-            size = [f"{p.next_dofs:.2g}" if p.next_dofs else "", megabytes(p.next_memory or 0.0)]
-            after = [duration(p.next_seconds), p.next_choice, f"x {p.factor:.2g}", *size]
-        found.append([NORMS[norm], f"{p.error:.1e}", p.choice, duration(p.seconds), *after, f"{p.floor:.0e}"])
+        if p.way is not None:
+            seconds, dofs, memory = (p.way.cost(p.error / 10, key) or 0.0 for key in ("seconds", "dofs", "memory_mb"))
+            size = [f"{dofs:.2g}" if dofs else "", megabytes(memory)]
+            after = [duration(seconds), p.way.name, f"x {p.factor:.2g}", *size]
+        floor = p.line.rows[-1]["floor"]
+        found.append([NORMS[norm], f"{p.error:.1e}", p.line.name, duration(p.seconds), *after, f"{floor:.0e}"])
     return found
 
 

@@ -10,9 +10,7 @@ import numpy as np
 from fenicsx_obstacle.show.figures import figure, heading, log_ticks, panels
 from fenicsx_obstacle.studies.price import NORMS, Rows, largest_harmless_eps, norms, relative, solved, trusted, unit
 
-_BLUE, _SKY, _GREEN, _ORANGE, _RED, _PINK, _GREY = (
-    "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#777777",
-)  # fmt: skip
+_BLUE, _GREEN, _ORANGE, _RED, _PINK, _GREY = "#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#777777"
 _COLOURS = {"VI": _BLUE, "VI cold": _GREY, "eps fixed": _PINK, "eps = h": _RED, "eps = h^2": _ORANGE, "auto": _GREEN,
             "adaptive": "#111111"}  # fmt: skip
 _MARKERS = {"VI": "o", "VI cold": "x", "eps fixed": "D", "eps = h": "s", "eps = h^2": "^", "auto": "v",
@@ -57,7 +55,7 @@ def against_prices(rows: Rows) -> Any:
         _draw(axes, rows, "energy", value)
         axes.set(xlabel=label, ylabel="relative error, energy norm")
         axes.xaxis.label.set_fontsize(8.5)
-    if _lines(rows, "energy"):
+    if trusted(rows, "energy"):
         _legend(every[0], rows, inside=True)
     page.suptitle(_title(rows, "The same error against other costs"), fontsize=11)
     return page
@@ -110,7 +108,7 @@ def over_h_and_eps(rows: Rows) -> Any:
     heights = [_edges(np.array([row["eps"] for row in column])) for column in columns]
     edges = _edges(sides), np.sort(np.concatenate(heights))
     for axes, norm in zip(every, shown, strict=True):
-        found = [np.array([_of_size(row, norm) for row in column]) for column in columns]
+        found = [np.array([relative(row, norm) or np.nan for row in column]) for column in columns]
         errors = np.concatenate(found)
         scale = LogNorm(np.nanmin(errors), np.nanmax(errors))
         for k, (height, part) in enumerate(zip(heights, found, strict=True)):
@@ -134,12 +132,6 @@ def over_h_and_eps(rows: Rows) -> Any:
     every[0].legend(fontsize=7, loc="upper left")
     page.suptitle(_title(rows, "Relative error over mesh and penalty parameter"), fontsize=11)
     return page
-
-
-def _of_size(row: Any, norm: str) -> float:
-    """The relative error, not-a-number where there is none."""
-    size = row.get("sizes", {}).get(norm)
-    return row["errors"][norm] / size if size and row["errors"].get(norm) else np.nan
 
 
 def _round_off(axes: Any, line: Sequence[Any], places: Sequence[Any], edges: tuple[np.ndarray, np.ndarray]) -> None:
@@ -167,19 +159,10 @@ def _edges(values: np.ndarray) -> np.ndarray:
     return np.exp(np.concatenate([[2 * logs[0] - middles[0]], middles, [2 * logs[-1] - middles[-1]]]))
 
 
-def _lines(rows: Rows, norm: str) -> dict[str, list[Any]]:
-    """The rows of each choice with an error in this norm."""
-    found: dict[str, list[Any]] = {}
-    for row in solved(rows):
-        if (relative(row, norm) or 0) > 0 and trusted(rows, row, norm):
-            found.setdefault(row["choice"], []).append(row)
-    return found
-
-
 def _draw(axes: Any, rows: Rows, norm: str, price: Callable[[Any], float], *, floor: bool = False) -> None:
     """The error of each choice against a price of its rows, and the error due to round-off along those of the
     default."""
-    lines = _lines(rows, norm)
+    lines = trusted(rows, norm)
     for name, part in lines.items():
         axes.loglog([price(row) for row in part], [relative(row, norm) for row in part], **_look(name))
     if not lines:

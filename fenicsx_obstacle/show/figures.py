@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -42,18 +42,10 @@ def blank(width: float, height: float) -> Any:
     return page
 
 
-def figure(
-    width: float,
-    height: float,
-    rows: int = 1,
-    columns: int = 1,
-    *,
-    widths: Sequence[float] | None = None,
-    sharex: bool = False,
-) -> Any:
-    """A figure and its axes, sizes in inches; `widths` of the columns are in proportion."""
+def figure(width: float, height: float, rows: int = 1, columns: int = 1, **look: Any) -> Any:
+    """A figure and its axes, sizes in inches; further arguments are those of matplotlib's `subplots`."""
     page = blank(width, height)
-    return page, page.subplots(rows, columns, sharex=sharex, gridspec_kw={"width_ratios": widths})
+    return page, page.subplots(rows, columns, **look)
 
 
 def panels(count: int, width: float, height: float, columns: int = 3) -> tuple[Any, list[Any]]:
@@ -137,9 +129,9 @@ def plain(text: str, longest: int = LABEL) -> str:
     return one_line(text, longest).replace("$", r"\$")
 
 
-def heading(text: str, width: int = LINE) -> str:
+def heading(text: str) -> str:
     """A user's title for matplotlib, in two lines at most, without formulas."""
-    lines = wrap(one_line(text), width, max_lines=2, placeholder=" ...")
+    lines = wrap(one_line(text), LINE, max_lines=2, placeholder=" ...")
     return "\n".join(lines).replace("$", r"\$")
 
 

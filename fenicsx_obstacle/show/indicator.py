@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from fenicsx_obstacle.estimation.bound import Bound
-from fenicsx_obstacle.parallel import gathered, on_root
 from fenicsx_obstacle.show.figures import BLUE, figure, save
 
 NAME = "bound.png"
@@ -17,42 +16,33 @@ DECADES = 4  # of shares that are told apart
 MOST = 0.5  # of the bound
 
 
-def draw_bound(bound: Bound, arrays: dict[str, np.ndarray], comm: MPI.Comm, path: Path) -> str:
-    """Draw the indicator of a bound into a file (collective).
+def draw_bound(indicator: np.ndarray, arrays: Mapping[str, np.ndarray], bound: Bound, path: Path) -> str:
+    """Draw the indicator of a bound into a file.
 
     Args:
-        bound: With its indicator on owned cells.
-        arrays: The gathered answer, on rank 0.
-        comm: Of the mesh.
+        indicator: Of all cells.
+        arrays: The gathered answer.
+        bound: Its bound.
         path: Of the picture.
 
     Returns:
         One line: the file, and how many cells carry most of the bound.
     """
-    assert bound.indicator is not None
-    return on_root(comm, _draw, gathered(comm, bound.indicator), arrays, bound, path)
-
-
-def _draw(indicator: np.ndarray, arrays: dict[str, np.ndarray], bound: Bound, path: Path) -> str:
-    shares = np.sort(_shares(indicator))[::-1].cumsum()
-    words = f"{(np.searchsorted(shares, MOST) + 1) / len(shares):.1%} of the cells contribute half of the bound"
+    whole = indicator.sum()
+    shares = indicator / whole if whole > 0 else np.full(len(indicator), 1 / len(indicator))
+    count = np.searchsorted(np.sort(shares)[::-1].cumsum(), MOST) + 1
+    words = f"{count / len(shares):.1%} of the cells contribute half of the bound"
     page, axes = figure(6.4, 5.2)
-    _cells(page, axes, indicator, arrays)
+    _cells(page, axes, shares, arrays)
     most = "at most" if bound.certified else "about"
     axes.set_title(f"energy error {most} {bound.total:.3g}; {words}", fontsize=9)
     save(page, path)
     return f"{path}: {words}"
 
 
-def _shares(indicator: np.ndarray) -> np.ndarray:
-    """The share of each cell in the bound; of a bound that is 0 all have the same."""
-    whole = indicator.sum()
-    return indicator / whole if whole > 0 else np.full(len(indicator), 1 / len(indicator))
-
-
-def _cells(page: Any, axes: Any, indicator: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+def _cells(page: Any, axes: Any, shares: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
     """The share of each cell: over an interval as steps, in the plane in colours, of solids summed along y."""
-    shares, cells, (x, y, z) = _shares(indicator), arrays["cells"], arrays["points"].T
+    cells, (x, y, z) = arrays["cells"], arrays["points"].T
     low = shares.max() / 10**DECADES
     if cells.shape[1] == 2:
         order = np.argsort(x[cells].min(axis=1))

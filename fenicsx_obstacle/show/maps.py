@@ -47,7 +47,7 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
     """
     from matplotlib.ticker import MaxNLocator
 
-    shape, values = triangles(patch), patch.fields["u"]
+    shape, values = triangles(patch.points, patch.cells), patch.fields["u"]
     levels = [patch.fields[name] for name in LEVELS.values() if name in patch.fields]
     draw_domain(axis, patch)
     if levels:
@@ -78,7 +78,8 @@ def draw_domain(axis: Any, patch: Patch) -> None:
     """The domain in one colour, with all its boundaries as thin lines, and its frame."""
     from matplotlib.colors import ListedColormap
 
-    axis.tripcolor(triangles(patch), np.zeros(len(patch.cells)), cmap=ListedColormap([OUT_OF_CONTACT]), zorder=0)
+    shape, colour = triangles(patch.points, patch.cells), ListedColormap([OUT_OF_CONTACT])
+    axis.tripcolor(shape, np.zeros(len(patch.cells)), cmap=colour, zorder=0)
     draw_edges(axis, patch.points, rim(patch.cells), colors="0.2", linewidths=0.9, zorder=3, capstyle="round")
     low, high = patch.points[:, :2].min(axis=0), patch.points[:, :2].max(axis=0)
     margin = 0.01 * max(high - low)  # for the line around the domain
@@ -98,11 +99,11 @@ def draw_edges(axis: Any, points: np.ndarray, edges: np.ndarray, **look: Any) ->
     return axis.add_collection(LineCollection(points[edges][..., :2], **look))
 
 
-def triangles(patch: Patch) -> Any:
-    """A plane patch as a triangulation of matplotlib."""
+def triangles(points: np.ndarray, cells: np.ndarray) -> Any:
+    """Cells in the plane as a triangulation of matplotlib."""
     from matplotlib.tri import Triangulation
 
-    return Triangulation(*patch.points[:, :2].T, patch.cells)
+    return Triangulation(*points[:, :2].T, cells)
 
 
 def colours(low: float, high: float, name: str) -> Any:

@@ -135,7 +135,7 @@ def _draw(axis: Any, patch: Patch, name: str, steps: Sequence[Iterate], number: 
     before = steps[number - 1].contact if now.number else now.contact
     axis.clear()
     draw_domain(axis, patch)
-    shown = triangles(Patch(now.mesh["points"], now.mesh["cells"], {}))
+    shown = triangles(now.mesh["points"], now.mesh["cells"])
     for nodes, colour in ((now.contact | before, LEFT), (now.contact, ENTERED), (now.contact & before, KEPT)):
         if nodes.any():
             axis.tricontourf(shown, nodes.astype(float), levels=[0.5, 1.5], colors=[colour], zorder=1)

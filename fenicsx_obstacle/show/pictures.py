@@ -84,23 +84,19 @@ def draw(fields: Fields, sides: Sequence[str], title: str, symbol: str, path: Pa
     if path is not None:
         check_name(path)
     arrays, pages = gather(fields), list[Any]()  # the page stays on rank 0
-    said = on_root(fields.level.comm, _draw, fields, sides, heading(title), symbol, arrays, path, pages)
-    return Picture(said, pages[0] if pages else None)
 
+    def drawn() -> str:
+        if (largest := max(np.abs(arrays[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
+            raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
+        page, who = _drawn(fields, sides, symbol, arrays)
+        page.suptitle(heading(title), fontsize=12)
+        pages.append(page)
+        if path is None:
+            return f"drawn by {who}"
+        save(page, path)
+        return f"{path}: drawn by {who}"
 
-def _draw(
-    fields: Fields, sides: Sequence[str], title: str, symbol: str, arrays: dict[str, np.ndarray], path: Path | None,
-    pages: list[Any],
-) -> str:  # fmt: skip
-    if (largest := max(np.abs(arrays[name]).max() for name in ("u", "pressure"))) > MAX_DRAWN:
-        raise InputError(f"values up to {largest:.3g} are not drawn: at most {MAX_DRAWN:g}; choose another unit")
-    page, who = _drawn(fields, sides, symbol, arrays)
-    page.suptitle(title, fontsize=12)
-    pages.append(page)
-    if path is None:
-        return f"drawn by {who}"
-    save(page, path)
-    return f"{path}: drawn by {who}"
+    return Picture(on_root(fields.level.comm, drawn), pages[0] if pages else None)
 
 
 def _drawn(fields: Fields, sides: Sequence[str], symbol: str, arrays: dict[str, np.ndarray]) -> tuple[Any, str]:

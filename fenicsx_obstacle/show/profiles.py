@@ -192,8 +192,9 @@ def _formula(axes: Any, columns: Mapping[str, Sequence[float]], key: str, look: 
 
 def _shade(axes: Any, s: np.ndarray, p: np.ndarray, size: float) -> None:
     """Shade where there is contact."""
-    for start, end in _runs(np.abs(p) > TOUCHING * np.abs(p).max(initial=size)):
-        axes.axvspan(s[start], s[end], color=BLUE, alpha=0.12, linewidth=0)
+    touching = np.abs(p) > TOUCHING * np.abs(p).max(initial=size)
+    for run in np.ma.clump_unmasked(np.ma.masked_where(~touching, s)):
+        axes.axvspan(s[run][0], s[run][-1], color=BLUE, alpha=0.12, linewidth=0)
 
 
 def _look(number: int, count: int, label: str) -> dict[str, Any]:
@@ -206,9 +207,3 @@ def _look(number: int, count: int, label: str) -> dict[str, Any]:
     shade = colormaps["viridis"](0.9 * (1 - number / (count - 1)))
     return {"color": shade, "linestyle": DASHES[number % len(DASHES)] if count <= LISTED else "-", "linewidth": 1.3,
             "label": named}  # fmt: skip
-
-
-def _runs(inside: np.ndarray) -> list[tuple[int, int]]:
-    """First and last number of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
-    return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]

@@ -136,22 +136,13 @@ def draw(folder: Path) -> None:
 def _grid(arrays: Mapping[str, np.ndarray], view: View) -> Any:
     import pyvista
 
-    cells = _oriented(arrays["cells"], arrays["points"])
+    cells = arrays["cells"]
     kind = pyvista.CellType.TRIANGLE if cells.shape[1] == 3 else pyvista.CellType.TETRA
     of_kind = {kind: cells} | ({pyvista.CellType.TRIANGLE: arrays["facets"]} if "facets" in arrays else {})
     grid = pyvista.UnstructuredGrid(of_kind, arrays["points"] * view.scale)
     for name in arrays.keys() - {"points", "cells", "facets"}:
         grid[name] = arrays[name]
     return grid
-
-
-def _oriented(cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Cells, tetrahedra with positive volumes: normals of their surface then point outwards."""
-    if cells.shape[1] == 3:
-        return cells
-    a, b, c = np.moveaxis(points[cells[:, 1:]] - points[cells[:, :1]], 1, 0)
-    inverted = np.einsum("ij,ij->i", np.cross(a, b), c) < 0
-    return np.where(inverted[:, None], cells[:, [0, 1, 3, 2]], cells)
 
 
 def _add(plotter: Any, grid: Any, view: View) -> None:
@@ -177,7 +168,10 @@ def _add(plotter: Any, grid: Any, view: View) -> None:
         facets = _within(grid.extract_cells(grid.celltypes != grid.celltypes[0]), view)
         facets.points += ABOVE_BODY * axes_of_view(view.eye)[2]
         _paint(plotter, facets, **scale)
-    edges = shell.extract_surface().extract_feature_edges(
+    outside = shell.extract_surface()
+    if view.kind == "body":  # whose tetrahedra may be inverted: angles between their faces would not be those outside
+        outside = outside.compute_normals()
+    edges = outside.extract_feature_edges(
         boundary_edges=True, feature_edges=view.kind == "body", manifold_edges=False, non_manifold_edges=False
     )
     if levels or not pressed or view.kind == "body":

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
 from fenicsx_obstacle.origin import program
-from fenicsx_obstacle.parallel import on_root, peak_memory_mb
+from fenicsx_obstacle.parallel import gathered, on_root, peak_memory_mb
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.free_boundary import write_free_boundary
 
@@ -50,10 +48,12 @@ def report_answer(
     others = dict[str, Path]()
     if file is not None:
         said = answer.plot(file).said
-        if answer.bound is not None:
+        if answer.bound is not None and answer.bound.indicator is not None:  # which is not saved
             from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
 
-            said += "\n  " + draw_bound(answer.bound, gather(answer.fields), comm, folder / NAME)
+            indicator = gathered(comm, answer.bound.indicator)
+            words = on_root(comm, draw_bound, indicator, gather(answer.fields), answer.bound, folder / NAME)
+            said += f"\n  {words}"
             others["Contribution of each cell to the bound"] = folder / NAME
     else:
         said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
@@ -69,7 +69,9 @@ def report_answer(
         drawn = draw_profiles(answer, folder)
     moving = None
     if answer.time_history is not None:
-        moving, words = on_root(comm, _draw_course, answer, gather(answer.fields), folder, picture)
+        from fenicsx_obstacle.show.time_history import draw_course  # only where a scene has time
+
+        moving, words = on_root(comm, draw_course, answer, gather(answer.fields), folder, picture)
         said += words
     if started is not None:
         seconds = {**answer.record["seconds"], "total": time.perf_counter() - started}
@@ -92,17 +94,6 @@ def _remove_earlier(folder: Path) -> None:
         if table.with_suffix(".png").exists():  # which makes it one of a profile
             table.with_suffix(".png").unlink()
             table.unlink()
-
-
-def _draw_course(answer: Answer, arrays: Mapping[str, Any], folder: Path, picture: bool) -> tuple[Path, str]:
-    """The picture of the course and, if asked for, the animation, with what is said of them (one rank)."""
-    from fenicsx_obstacle.show.time_history import MovingPicture  # only where a scene has time
-
-    course = MovingPicture(answer, arrays, folder)
-    said = ["", course.draw()]
-    if picture and course.is_animated:
-        said.append(course.animate())
-    return course.path, "\n  ".join(said)
 
 
 def has_picture(answer: Answer) -> bool:

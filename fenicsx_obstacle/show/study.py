@@ -80,17 +80,18 @@ def report_find(search: Find, folder: Path, say: Say, *, fresh: bool = False) ->
 
 def _report(study: Study, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
     """Run a study, print its rows, and draw them into the folder of its store (collective)."""
-    comm, folder, table = study.comm, store.folder, StudyTable(study.vary, store.run, penalised=study.penalised)
+    comm, folder = study.comm, store.folder
+    # one is printed while rows come; in the other the last row of a search is the one that was found
+    printed, table = (StudyTable(study.vary, store.run, penalised=study.penalised) for _ in range(2))
     latest: tuple[Row | None, Answer | None] = None, None
 
     def on_row(row: Row, answer: Answer | None) -> None:
         nonlocal latest
         latest = row, answer
-        for line in table.lines(row):
+        for line in printed.lines(row):
             say(line)
 
     rows = study.run(on_row, store)
-    table.rows.clear()  # of a search the last row is the one that was found
     for row in rows:
         table.lines(row)
     for note in table.notes():

@@ -10,7 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame
-from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
+from fenicsx_obstacle.show.boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
     BLUE,
     COLOURS,
@@ -36,44 +36,43 @@ PER_SECOND = 10  # frames of the animation
 Arrays = Mapping[str, np.ndarray]
 
 
-class MovingPicture:
-    """The course of an answer in pictures.
+def draw_course(answer: Answer, arrays: Arrays, folder: Path, picture: bool) -> tuple[Path, str]:
+    """Draw the course of an answer and, if asked for, the animation (one rank).
 
-    Attributes:
-        path: The picture of the course.
-        is_animated: Whether an animation can show it: scalar u on an interval or a plane mesh, at several moments.
+    Args:
+        answer: With its course.
+        arrays: Points and cells of the answer.
+        folder: Where the pictures go.
+        picture: Whether to draw the animation, if one can show it: scalar u on an interval or a plane mesh, at several
+            moments.
+
+    Returns:
+        The picture of the course; and what is drawn, a line for each file.
     """
+    course, path, animation = _Course(answer, arrays), folder / HISTORY, folder / ANIMATION
+    said = f"\n  {path}: {course.draw(path)}"
+    if picture and course.is_animated:
+        said += f"\n  {animation}: {course.animate(animation)}"
+    return path, said
 
-    def __init__(self, answer: Answer, arrays: Arrays, folder: Path):
-        """Take it.
 
-        Args:
-            answer: With its course.
-            arrays: Points and cells of the answer.
-            folder: Where the pictures go.
-        """
+class _Course:
+    """The course of an answer in pictures; what is drawn is returned in words."""
+
+    def __init__(self, answer: Answer, arrays: Arrays):
         assert answer.time_history is not None
         assert answer.scene.time is not None
-        self._history, self._frames, self._name = (
-            answer.time_history,
-            answer.time_history.frames,
-            answer.scene.time.name,
-        )
-        self._report, self._title = answer.scene.tables.report, answer.title
+        self._history, self._frames = answer.time_history, answer.time_history.frames
+        self._name, self._report, self._title = answer.scene.time.name, answer.scene.tables.report, answer.title
         self._t, self._u = plain(self._name), plain(answer.scene.tables.u)
         self._arrays, dim = arrays, arrays["cells"].shape[1] - 1
         self._drawable = arrays["u"].ndim == 1 and dim == int(arrays["gdim"]) and dim < 3  # others are for ParaView
         self._order = np.argsort(arrays["points"][:, 0])  # of the nodes of an interval, from left to right
         self._x, self._on_line = arrays["points"][self._order, 0], dim == 1
         self.is_animated = len(self._frames) > 1 and self._drawable
-        self.path, self._animation = folder / HISTORY, folder / ANIMATION
 
-    def draw(self) -> str:
-        """Draw the figures of all steps over t, with the fields at some moments where there are any.
-
-        Returns:
-            One line: what is drawn.
-        """
+    def draw(self, path: Path) -> str:
+        """Draw the figures of all steps over t, with the fields at some moments where there are any."""
         names = list(dict.fromkeys(name for row in self._history.rows for name in row if name not in COUNTS))
         names = [name for name in names if name not in USUAL] + [name for name in names if name in USUAL[:-1]]
         values = {name: self._history.column(name) for name in names}
@@ -95,23 +94,19 @@ class MovingPicture:
             axis.set_xlabel(self._t)
             axis.set_title(plain(name.replace("_", " ")), fontsize=9)
         page.suptitle(heading(self._title), fontsize=12)
-        save(page, self.path)
-        return f"{self.path}: {', '.join(name.replace('_', ' ') for name in columns)} over {self._name}"
+        save(page, path)
+        return f"{', '.join(name.replace('_', ' ') for name in columns)} over {self._name}"
 
-    def animate(self) -> str:
-        """Draw the fields at all moments that were kept, as a GIF.
-
-        Returns:
-            One line: what is drawn.
-        """
+    def animate(self, path: Path) -> str:
+        """Draw the fields at all moments that were kept, as a GIF."""
         page, draw = self._moving_line() if self._on_line else self._moving_map()
 
         def draw_moment(frame: Frame) -> None:
             draw(frame)
             page.suptitle(f"{self._t} = {frame.t:.4g}", fontsize=11)
 
-        write_gif(page, self._animation, PER_SECOND, self._frames, draw_moment)
-        return f"{self._animation}: {len(self._frames)} moments"
+        write_gif(page, path, PER_SECOND, self._frames, draw_moment)
+        return f"{len(self._frames)} moments"
 
     def _lines(self, page: Any, grid: Any, chosen: Sequence[Frame]) -> None:
         """u over the interval at some moments; beside it, where it was in contact at all of them."""
@@ -167,7 +162,7 @@ class MovingPicture:
 
     def _map(self, axis: Any, frame: Frame, scale: Any) -> None:
         """u in colours, the edge of contact as a line."""
-        surface = triangles(Patch(self._arrays["points"], self._arrays["cells"], {}))
+        surface = triangles(self._arrays["points"], self._arrays["cells"])
         axis.tripcolor(surface, frame.fields["u"], shading="gouraud", norm=scale.norm, cmap=scale.cmap)
         contact = frame.fields["contact"]
         if 0 < contact.sum() < len(contact):

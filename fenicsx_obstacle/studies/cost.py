@@ -22,6 +22,7 @@ from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.answers.adapt import Budget, Refinement
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.cloud import Cloud
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -33,13 +34,7 @@ from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_m
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
-from fenicsx_obstacle.studies.reference_solution import (
-    ExactReference,
-    Truth,
-    make_reference,
-    read_reference,
-    sizes_of,
-)
+from fenicsx_obstacle.studies.reference_solution import ExactReference, Reference, Truth, make_reference, sizes_of
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 
 _log = logging.getLogger(__name__)
@@ -124,7 +119,7 @@ class CostStudy:
                 try:
                     if on_root(self.comm, content_of, self.folder / REFERENCE) != row.get("reference"):
                         raise InputError("the reference solution of another run")
-                    self.truth = read_reference(self.folder / REFERENCE, row, self.comm)
+                    self.truth = Reference(Cloud.read(self.folder / REFERENCE, self.comm), row)
                 except InputError:  # or the file was removed
                     row = None
             if row is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,7 +21,6 @@ from fenicsx_obstacle.studies.orders import last_part
 from fenicsx_obstacle.studies.rows import RowStore, flat
 from fenicsx_obstacle.text import nearest
 
-_log = logging.getLogger(__name__)
 WITHIN = 1e-4  # of the interval: accuracy of the value that is found
 SMALLEST = 1e-12  # of the interval: what can be asked for
 STEEP = 10.0  # times `within`: relative change over the last interval below which a quantity is continuous

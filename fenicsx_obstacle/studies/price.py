@@ -73,28 +73,18 @@ class Price:
     """The cost of one more digit in one norm.
 
     Attributes:
-        norm: Key of the norm.
-        choice: The cheapest of those that came within a factor of 2 of the smallest error.
+        line: The cheapest of the choices that came within a factor of 2 of the smallest error.
         error: Its error.
         seconds: What it took.
-        next_choice: The cheapest way to error/10, "" where none is in sight.
-        factor: Its seconds over those.
-        next_seconds: What error/10 would take.
-        next_dofs: Unknowns that error/10 would take.
-        next_memory: Memory that error/10 would take, in MB.
-        floor: What unbalanced forces and round-off leave, relative.
+        way: The cheapest choice for error/10, None where none is in sight.
+        factor: Its seconds over those, None without it.
     """
 
-    norm: str
-    choice: str
+    line: Curve
     error: float
     seconds: float
-    next_choice: str
+    way: Curve | None
     factor: float | None
-    next_seconds: float | None
-    next_dofs: float | None
-    next_memory: float | None
-    floor: float
 
 
 def solved(rows: Rows) -> list[Mapping[str, Any]]:
@@ -114,7 +104,7 @@ def truth(rows: Rows) -> Mapping[str, Any]:
 
 def relative(row: Mapping[str, Any], norm: str) -> float | None:
     """Error over the size of the solution; None where either is not known or there is nothing to measure."""
-    error, size = row["errors"].get(norm), row["sizes"].get(norm)
+    error, size = row.get("errors", {}).get(norm), row.get("sizes", {}).get(norm)
     if error is None or not size or not math.isfinite(error):
         return None
     return error / size
@@ -136,22 +126,28 @@ def _there(rows: Rows, norm: str) -> bool:
 def curves(rows: Rows, norm: str) -> list[Curve]:
     """One for each choice with rows that can be trusted."""
     found, failed = [], {row["choice"] for row in failures(rows)}
-    for name in dict.fromkeys(row["choice"] for row in solved(rows)):
-        part = sorted((row for row in solved(rows) if row["choice"] == name), key=lambda row: row["seconds"])
-        part = [row for row in part if (relative(row, norm) or 0) > 0 and trusted(rows, row, norm)]
-        if part:
-            errors = np.array([relative(row, norm) for row in part])
-            for k in range(1, len(part)):
-                fall = (part[k - 1]["dofs"] / part[k]["dofs"]) ** STEEPEST
-                errors[k] = max(errors[k], errors[k - 1] * min(fall, 1.0))
-            errors = np.maximum.accumulate(errors[::-1])[::-1]
-            found.append(Curve(name, part, errors, _slope(part, errors, "seconds"), name in failed))
+    for name, given in trusted(rows, norm).items():
+        part = sorted(given, key=lambda row: row["seconds"])
+        errors = np.array([relative(row, norm) for row in part])
+        for k in range(1, len(part)):
+            fall = (part[k - 1]["dofs"] / part[k]["dofs"]) ** STEEPEST
+            errors[k] = max(errors[k], errors[k - 1] * min(fall, 1.0))
+        errors = np.maximum.accumulate(errors[::-1])[::-1]
+        found.append(Curve(name, part, errors, _slope(part, errors, "seconds"), name in failed))
     return found
 
 
-def trusted(rows: Rows, row: Mapping[str, Any], norm: str) -> bool:
+def trusted(rows: Rows, norm: str) -> dict[str, list[Mapping[str, Any]]]:
+    """The rows of each choice with an error that can be trusted."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for row in solved(rows):
+        if (relative(row, norm) or 0) > 0 and _is_trusted(truth(rows), row, norm):
+            found.setdefault(row["choice"], []).append(row)
+    return found
+
+
+def _is_trusted(first: Mapping[str, Any], row: Mapping[str, Any], norm: str) -> bool:
     """Whether an error is larger than what the reference itself may be off."""
-    first = truth(rows)
     if first["exact"]:
         return True
     if norm == "energy" and "bound" in first:
@@ -175,14 +171,9 @@ def price(rows: Rows, norm: str) -> Price | None:
     best = min(line.error[-1] for line in lines)
     near = [line for line in lines if line.error[-1] <= 2 * best]
     line = min(near, key=lambda line: line.cost(2 * best) or math.inf)
-    last, error = line.rows[-1], float(line.error[-1])
-    then = next(iter(cheapest(rows, norm, error / 10)), None)
-    if then is None:
-        return Price(norm, line.name, error, last["seconds"], "", None, None, None, None, last["floor"])
-    way, next_ = then
-    dofs, memory = way.cost(error / 10, "dofs"), way.cost(error / 10, "memory_mb")
-    factor = next_ / last["seconds"]
-    return Price(norm, line.name, error, last["seconds"], way.name, factor, next_, dofs, memory, last["floor"])
+    seconds, error = line.rows[-1]["seconds"], float(line.error[-1])
+    way, then = next(iter(cheapest(rows, norm, error / 10)), (None, None))
+    return Price(line, error, seconds, way, None if then is None else then / seconds)
 
 
 def cheapest(rows: Rows, norm: str, error: float) -> list[tuple[Curve, float]]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -25,7 +24,6 @@ from fenicsx_obstacle.scenes.scene import Scene
 
 _log = logging.getLogger(__name__)
 FINER = 4.0  # times the seconds and unknowns of a row: what a reference may take
-NORMS = ("energy", "l2", "max", "force", "area")
 GROWTH = 3.0  # of unknowns from one adaptive mesh to the next, about
 Errors = dict[str, float]
 
@@ -175,12 +173,3 @@ def _uniform(
         if len(found) > 1 and comm.bcast(last):
             break
     return found
-
-
-def read_reference(file: Path, record: Mapping[str, Any], comm: MPI.Comm) -> Reference:
-    """The reference of an earlier run (collective).
-
-    Raises:
-        InputError: If the file does not hold one.
-    """
-    return Reference(Cloud.read(file, comm), record)
