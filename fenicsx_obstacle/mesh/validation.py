@@ -13,7 +13,7 @@ from fenicsx_obstacle.errors import InputError
 
 
 def validate_mesh(points: np.ndarray, cells: np.ndarray) -> None:
-    """Reject what DOLFINx cannot make a mesh of; `conformity.check_mesh` looks at the mesh (one rank).
+    """Reject what DOLFINx cannot make a mesh of; `checks.check_mesh` looks at the mesh (one rank).
 
     Args:
         points: Shape (points, 1 to 3).
