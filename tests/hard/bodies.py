@@ -100,7 +100,8 @@ def judge_body(
                     yield row_of(scene, method, eps, REJECTED, start, message=str(error))
                     continue
                 found.append(one)
-                findings = [*_of_one(one), *_known(one, known)]
+                checked = context.body.verify(one.answer)
+                findings = [*checked.findings, *_penetration(one), *_known(one, known)]
                 findings += _beside(one, found[0], form) if found[0] is not one else []
                 yield _verdict(scene, method, eps, start, one, findings, refuse, off=_off(one, found[0]))
     except InputError as error:
@@ -129,24 +130,14 @@ def _verdict(
     return judged_row(scene, method, eps, start, record, findings, trial, refuse)
 
 
-def _of_one(one: _Solved) -> list[Finding]:
-    """Signs, complementarity, and the law of the penalty at the nodes."""
+def _penetration(one: _Solved) -> list[Finding]:
+    """Of the penalty: eps times the pressure, at each node."""
     p, gap, eps = one.nodes.pressure, one.nodes.gap, one.answer.eps
-    most = float(p.max(initial=0.0))
-    size = float(np.abs(gap).max(initial=0.0))
-    findings = [Finding("pressure >= 0", "p >= 0", -float(p.min(initial=0.0)), SOLVED * most)]
     if eps is None:
-        findings.append(Finding("complementarity", "min(p, gap) = 0",
-                                float(np.abs(np.minimum(p / (most or 1.0), gap / (size or 1.0))).max(initial=0.0)),
-                                SOLVED))  # fmt: skip
-    else:
-        margin = SOLVED * (eps * most + 1e-4 * size)
-        law = float(np.abs(np.maximum(-gap, 0.0) - eps * p).max(initial=0.0))
-        findings += [
-            Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin),
-            Finding("law of the penalty", "(3.7)", law, margin),
-        ]
-    return findings
+        return []
+    most, size = float(p.max(initial=0.0)), float(np.abs(gap).max(initial=0.0))
+    margin = SOLVED * (eps * most + 1e-4 * size)
+    return [Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin)]
 
 
 def _known(one: _Solved, known: Mapping[str, float]) -> list[Finding]:
