@@ -67,12 +67,6 @@ class Bearings(Manufactured):
     def u(self) -> list[Piecewise]:
         return [everywhere(expression(self.formula))]
 
-    def tension(self) -> Piecewise:
-        return everywhere(expression(self.stiff))
-
-    def foundation(self) -> Piecewise | None:
-        return everywhere(float(self.bed)) if self.bed != "0" else None
-
     def weight(self, px: np.ndarray) -> np.ndarray:
         return px if self.axial else np.ones_like(px)
 

@@ -172,13 +172,24 @@ class Manufactured(Family):
     def data(self) -> dict[str, Any]:
         """What a scene has in addition to mesh and boundary."""
 
+    @property
+    def sign(self) -> int:
+        """-1 where all is upside down: a family that can be so has an attribute `upper`."""
+        return -1 if getattr(self, "upper", False) else 1
+
+    @property
+    def side(self) -> str:
+        """That of the obstacle."""
+        return "lower" if self.sign > 0 else "upper"
+
     def tension(self) -> Piecewise:
-        """As numbers or expressions."""
-        return everywhere(1)
+        """As numbers or expressions; the same everywhere where the family has an attribute `stiff`, or 1."""
+        return everywhere(expression(str(getattr(self, "stiff", 1))))
 
     def foundation(self) -> Piecewise | None:
-        """Its stiffness."""
-        return None
+        """Its stiffness, of the attribute `bed`, a formula."""
+        bed = getattr(self, "bed", "0")
+        return everywhere(expression(bed)) if bed != "0" else None
 
     def weight(self, px: np.ndarray) -> np.ndarray:
         """Of integrals at points: with axial symmetry the radius."""
