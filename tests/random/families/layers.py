@@ -132,9 +132,6 @@ class LayersInContact(Manufactured):
             ends.append((near + far) / 2)
         return depth, ends[0], ends[1]
 
-    def u(self) -> list[Piecewise]:
-        return []
-
     def tension(self) -> Piecewise:
         return layered(ALONG_X, self.cuts, self.tensions)
 
@@ -187,9 +184,6 @@ class Waves(Manufactured):
 
     name = "waves"
     accuracy = 1e-6
-
-    def u(self) -> list[Piecewise]:
-        return []
 
     def tension(self) -> Piecewise:
         return everywhere(expression(self.data()["tension"]))

@@ -164,9 +164,10 @@ class Manufactured(Family):
 
     accuracy: ClassVar[float] = 1e-9  # of the true error, relative
 
-    @abstractmethod
     def u(self) -> list[Piecewise]:
-        """Its sum is u; where `gradient` is given instead there are none."""
+        """Its sum is u, by default of the attribute `formula`; where `gradient` is given instead there are none."""
+        formula = getattr(self, "formula", None)
+        return [] if formula is None else [everywhere(expression(formula))]
 
     @abstractmethod
     def data(self) -> dict[str, Any]:
