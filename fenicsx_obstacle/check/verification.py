@@ -60,29 +60,27 @@ class State:
     range: float
 
     @classmethod
-    def of(cls, problem: Problem, A: PETSc.Mat, u: np.ndarray, p: np.ndarray, eps: float | None, size: float) -> State:
+    def of(
+        cls, problem: Problem, u: np.ndarray, p: np.ndarray, eps: float | None, size: float, stiffness: np.ndarray,
+        terms: np.ndarray,
+    ) -> State:  # fmt: skip
         """The present state of a problem, of which its last residual was (collective).
 
         Args:
             problem: Its state is w.
-            A: Derivative of a(u, .) at w.
             u: See the attributes, as all others.
             p: At owned points of I.
             eps: None for the inequality.
             size: See the attributes.
+            stiffness: See the attributes.
+            terms: How large the terms are that a(u, .) is a sum of, at owned dofs.
         """
-        comm, elastic = problem.comm, problem.elastic.array_r.copy()
-        pressing, diagonal = np.abs(problem.weights * p), A.getDiagonal()
+        comm, elastic, pressing = problem.comm, problem.elastic.array_r.copy(), np.abs(problem.weights * p)
         below, above = problem.gaps()
-        noise = _absolute(A, np.abs(problem.w) + np.abs(problem.state.r)) + problem.from_points(pressing)
-        span = largest(comm, u) - smallest(comm, u)
-        found = cls(
-            problem, eps, u, np.array(p), below, above, elastic, np.where(problem.fixed, 0.0, ROUNDED * noise),
-            diagonal.array_r.copy(), size=size, range=max(span, ROUNDED * size),
-            forces=problem.load + total(comm, np.abs(elastic[problem.fixed])) + total(comm, pressing),
-        )  # fmt: skip
-        diagonal.destroy()
-        return found
+        noise = np.where(problem.fixed, 0.0, ROUNDED * (terms + problem.from_points(pressing)))
+        forces = problem.load + total(comm, np.abs(elastic[problem.fixed])) + total(comm, pressing)
+        span = max(largest(comm, u) - smallest(comm, u), ROUNDED * size)
+        return cls(problem, eps, u, np.array(p), below, above, elastic, noise, stiffness, forces, size, span)
 
     @property
     def unbalanced(self) -> np.ndarray:
@@ -147,10 +145,11 @@ def _taken(problem: Problem, solution: Any) -> State:
     x, out = problem.vector(), problem.law.vector()
     problem.residual(x, out, penalised=False)
     A = problem.jacobian(x, penalised=False)
-    state = State.of(problem, A, problem.in_components(u_values), p, solution.eps, size)
-    for vector in (x, out):
+    diagonal = A.getDiagonal()
+    stiffness, terms = diagonal.array_r.copy(), _absolute(A, np.abs(problem.w) + np.abs(problem.state.r))
+    for vector in (x, out, diagonal):
         vector.destroy()
-    return state
+    return State.of(problem, problem.in_components(u_values), p, solution.eps, size, stiffness, terms)
 
 
 def _values(s: State) -> list[Finding]:
@@ -176,7 +175,7 @@ def contact_law(s: State) -> list[Finding]:
         law = Finding("u between the obstacles", "(3.19)", most, at * s.range + ROUNDED * s.size)
     else:
         off = largest(comm, np.abs(beyond - s.eps * s.p)[problem.touchable])
-        limit = ROUNDED * (s.size + largest(comm, np.abs(beyond)))
+        limit = ROUNDED * s.size + 4 * EPSILON * largest(comm, np.abs(beyond))
         law = Finding("p = -(u - g)^+/eps", "(3.7)-(3.8)", max(off, 0.0), limit)
     short = [np.where(np.isfinite(gap), np.maximum(gap, 0.0), s.range) for gap in (s.below, s.above)]
     D, work = problem.weights, np.maximum(s.p, 0.0) * short[0] + np.maximum(-s.p, 0.0) * short[1]

@@ -212,7 +212,7 @@ class ReferenceProblem:
         if self.bent:
             self._settle()
         w, r = problem.w.copy(), problem.state.r.copy()
-        found = State.of(problem, self.A, problem.u, p, eps, 0.0)
+        found = State.of(problem, problem.u, p, eps, 0.0, self.diagonal, self.diagonal * (np.abs(w) + np.abs(r)))
         # where all data are zero solvers take for nothing what they cannot compare with any force
         nearest = nearest_gap(problem)
         if np.isfinite(nearest):
@@ -233,8 +233,7 @@ class ReferenceProblem:
         q = np.where(
             self.touchable, (2 * self.diagonal * z + np.abs(found.unbalanced)) / np.maximum(self.D, 1e-300), 0.0
         )
-        known = {**vars(found), "stiffness": self.diagonal}  # of given values, too
-        return Solved(**known, ground=self, w=w, r=r, energy=energy, z=z, q=q, R=R)
+        return Solved(**vars(found), ground=self, w=w, r=r, energy=energy, z=z, q=q, R=R)
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
         """R of a residual, of which `left` is the size with its round-off."""
