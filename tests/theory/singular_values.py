@@ -28,7 +28,8 @@ def spectrum(B: PETSc.Mat, H: PETSc.Mat, norm: PETSc.Mat | Dual) -> np.ndarray:
         H: Norm on the columns.
         norm: Norm on the rows: N itself, or c and K of a dual norm.
     """
-    b, h, *n = (gathered_matrix(A) for A in (B, H, *(norm if isinstance(norm, tuple) else (norm,))))
+    matrices: list[Any] = [gathered_matrix(A) for A in (B, H, *(norm if isinstance(norm, tuple) else (norm,)))]
+    b, h, *n = matrices
     return on_root(B.comm.tompi4py(), lambda: _values(b, h, _dual(*n) if len(n) == 2 else n[0].toarray()))
 
 
