@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
@@ -32,13 +32,11 @@ TRIAL = 1e-6  # eps of what is tried once: other starts, units and ranks
 NO_DIGITS = {"from_heights": None, "line": None, "left": None}  # known for affine effects
 
 
-@dataclass(frozen=True)
-class Trial:
-    """An answer with its figures, and what was found so far."""
+class Trial(NamedTuple):
+    """An answer, and its Newton steps."""
 
     solved: Solved
     iterations: int
-    record: dict[str, Any]
 
 
 def judge(
@@ -187,7 +185,7 @@ class _Verifier:
         other = self.known.get((METHODS[0], eps))
         if method != METHODS[0] and other is not None:
             findings += same(other.solved, solved, f"{METHODS[0]} and {method}")
-        self.known[method, eps] = Trial(solved, record["newton_iterations"], record)
+        self.known[method, eps] = Trial(solved, record["newton_iterations"])
         yield self._verdict(method, eps, start, findings, record)
 
     def _verdict(
