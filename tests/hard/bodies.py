@@ -16,7 +16,6 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.bodies import BodyContext
 from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
@@ -24,6 +23,7 @@ from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_
 SOLVED = 1e-8  # relative: how far solves are from the discrete solution
 UNIT = "unit"  # name under [define] of the factor of all stiffnesses and loads, 1 in MPa
 PASCALS = 1e6
+GRID = 1e-6  # of the extent: places nearer than this are one
 AUTO = 1e-3  # eps = "auto" in units of h/E
 
 
@@ -143,7 +143,7 @@ def _off(one: Answer, exact: Answer) -> float:
 
 def _in_pascals(before: Answer, one: Answer) -> list[Finding]:
     size = float(np.abs(before.nodes.forces).max(initial=0.0))
-    new, old = (nodes.forces[_by_place(nodes)] for nodes in (one.nodes, before.nodes))
+    new, old = (nodes.forces[by_place(nodes.points)] for nodes in (one.nodes, before.nodes))
     apart = float(np.abs(new / PASCALS - old).max(initial=0.0))
     more = abs(one.iterations - before.iterations)
     return [
@@ -152,10 +152,10 @@ def _in_pascals(before: Answer, one: Answer) -> list[Finding]:
     ]
 
 
-def _by_place(nodes: ContactTable) -> np.ndarray:
-    """Rows in the order of places, whatever their round-off."""
-    order: np.ndarray = np.lexsort(np.round(nodes.points, 9).T)
-    return order
+def by_place(points: np.ndarray) -> np.ndarray:
+    """Numbers of points (n, 3) in the order of their places, whatever their round-off."""
+    extent = max(float(np.ptp(points)), 1e-300)
+    return np.lexsort(np.rint(points / (GRID * extent)).T)
 
 
 def fields_of(scene: Scene, comm: MPI.Comm) -> dict[str, np.ndarray]:
@@ -164,7 +164,7 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> dict[str, np.ndarray]:
     for method in ("vi", "penalty"):
         with closing(BodyContext(scene, comm)) as context:
             nodes = context.answer(asked(scene, method, None if method == "vi" else "auto")).nodes
-        order = _by_place(nodes)
+        order = by_place(nodes.points)
         found |= {"points": nodes.points[order], f"{method}.p": nodes.pressure[order]}
     return found
 
