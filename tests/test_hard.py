@@ -254,7 +254,7 @@ def test_different_answers_are_not_the_same(answers):
 
 def test_not_a_number_is_no_answer(answers):
     """Comparisons with NaN are false, and so is 'held'."""
-    wrong = replace(answers[1e-4], p=answers[1e-4].p * np.nan)
+    wrong = replace(answers[1e-4], p=answers[1e-4].p * np.nan, q=answers[1e-4].q * np.nan)
     assert len(violated(of_one(wrong))) >= 3
     assert len(violated(beside_inequality(wrong, answers[None]))) >= 2
 

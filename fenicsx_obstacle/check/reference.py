@@ -33,20 +33,6 @@ class Distance(NamedTuple):
     stiffness: float
 
 
-class Arrays(NamedTuple):
-    """Of all dofs, in the order of their global numbers."""
-
-    A: sparse.csr_matrix
-    u: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    load: np.ndarray
-    weights: np.ndarray
-    fixed: np.ndarray
-    unbalanced: np.ndarray
-    noise: np.ndarray
-
-
 def distance(system: System, eps: float | None, unbalanced: np.ndarray, noise: np.ndarray) -> Distance | None:
     """The distance of the state of a small linear symmetric problem with contact at dofs from its solution; None of
     other problems, of one that contact alone holds, and where active sets do not settle (collective).
@@ -60,34 +46,51 @@ def distance(system: System, eps: float | None, unbalanced: np.ndarray, noise: n
     linear = system.affine and system.symmetric and system.has_energy
     if not linear or not system.nodal or system.floating or system.dofs > LARGEST:
         return None
-    comm, u_values = system.comm, system.u
+    u_values = system.u
     u_values[system.fixed] = system.given[system.fixed]
     lower, upper = (np.broadcast_to(side, len(u_values)) for side in system.obstacles())
     weights = np.where(system.touchable, system.weights, 0.0)
-    owned = u_values, lower, upper, -system.matrices.minus_load.array_r, weights, system.fixed, unbalanced, noise
-    A = _gathered_matrix(system.matrices.stiffness)
-    parts: list[Any] = [gathered(comm, values) for values in owned]
-    return on_root(comm, lambda: _distance(Arrays(A, *parts), eps))
+    load = -system.matrices.minus_load.array_r
+    owned = u_values, lower, upper, load, weights, unbalanced, noise, system.fixed
+    A = gathered_matrix(system.matrices.stiffness)
+    parts: list[Any] = [gathered(system.comm, values) for values in owned]
+    return on_root(system.comm, lambda: _distance(eps, A, *parts))
 
 
-def _distance(of: Arrays, eps: float | None) -> Distance | None:
-    """On rank 0."""
-    free, held = np.flatnonzero(~of.fixed), np.flatnonzero(of.fixed)
-    A, forces = of.A[free][:, free].tocsc(), of.load[free] - of.A[free][:, held] @ of.u[held]
-    w = _active_sets(of, A, forces, free, eps)
+def _distance(
+    eps: float | None, A: sparse.csr_matrix, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, load: np.ndarray,
+    weights: np.ndarray, unbalanced: np.ndarray, noise: np.ndarray, fixed: np.ndarray,
+) -> Distance | None:  # fmt: skip
+    """On rank 0, of all dofs, in the order of their global numbers."""
+    free, held = np.flatnonzero(~fixed), np.flatnonzero(fixed)
+    forces, A = load[free] - A[free][:, held] @ u[held], A[free][:, free].tocsc()
+    w = active_sets(A, forces, weights[free], lower[free], upper[free], u[free], eps)
     if w is None:
         return None
-    e, solve = of.u[free] - w, splu(A).solve if len(free) else (lambda forces: forces)
-    reach = sum(np.sqrt(np.abs(left @ solve(left))) for left in (of.unbalanced[free], 2 * of.noise[free]))
+    e, solve = u[free] - w, splu(A).solve if len(free) else (lambda forces: forces)
+    reach = sum(np.sqrt(np.abs(left @ solve(left))) for left in (unbalanced[free], 2 * noise[free]))
     return Distance(float(np.sqrt(max(e @ (A @ e), 0.0))), float(reach), float(np.sqrt(A.diagonal().sum())))
 
 
-def _active_sets(
-    of: Arrays, A: sparse.csc_matrix, forces: np.ndarray, free: np.ndarray, eps: float | None
-) -> np.ndarray | None:
-    """u at free dofs: sets of nodes at or beyond an obstacle, from those of the state, until they repeat."""
-    D, low, high, w = of.weights[free], of.lower[free], of.upper[free], of.u[free]
-    beside = D > 0
+def active_sets(
+    A: sparse.csc_matrix, forces: np.ndarray, D: np.ndarray, low: np.ndarray, high: np.ndarray, start: np.ndarray,
+    eps: float | None,
+) -> np.ndarray | None:  # fmt: skip
+    """u of a linear problem: sets of nodes at or beyond an obstacle, from those of a start, until they repeat.
+
+    Args:
+        A: Stiffness.
+        forces: Load.
+        D: Weights of I, 0 at nodes without an obstacle.
+        low: Lower obstacle, -inf where there is none.
+        high: Upper obstacle, inf where there is none.
+        start: u.
+        eps: Penalty parameter; None for the inequality.
+
+    Returns:
+        None if the sets do not repeat.
+    """
+    beside, w = D > 0, start
     at_low, at_high = beside & (w <= low), beside & (w >= high) & ~(w <= low)
     for _ in range(STEPS):
         active = at_low | at_high
@@ -108,7 +111,7 @@ def _active_sets(
     return None
 
 
-def _gathered_matrix(A: PETSc.Mat) -> sparse.csr_matrix | None:
+def gathered_matrix(A: PETSc.Mat) -> sparse.csr_matrix | None:
     """A distributed matrix, on rank 0 (collective)."""
     parts, size = A.comm.tompi4py().gather(A.getValuesCSR()), A.getSize()[1]
     if parts is None:

@@ -6,6 +6,7 @@ the round-off of what is measured.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,59 +27,71 @@ BY_MEANS = 1e-8  # of the range of u: as `AT_BOUND`, for contact that is not at 
 SAME = 1e-9  # relative: areas and forces of one pressure
 
 
+@dataclass(frozen=True, eq=False)
 class State:
-    """A solution as the state of its problem; arrays have values at owned dofs, or owned points of I.
+    """A state of a problem with its contact pressure; arrays have values at owned dofs, or owned points of I.
 
     Attributes:
         problem: The problem, with its data as they are now.
         eps: Penalty parameter; None for the inequality.
+        u: Its components that the problem has.
         p: Contact pressure, > 0 against the lower obstacle.
         below: u - lower, inf without one.
         above: upper - u, inf without one.
-        unbalanced: a(u, .) - f - I(p, .); 0 where u is given.
-        noise: Round-off of it, >= 0.
-        stiffness: A_ii, with the penalty in contact; that of u where it is given.
+        elastic: a(u, .) - f, the support reactions where u is given included.
+        noise: Round-off of the unbalanced forces, >= 0; 0 where u is given.
+        stiffness: A_ii.
         forces: Sum of the acting forces: load, support reactions, contact.
-        size: Largest |u| and |given value|.
+        size: Largest |u| and |given value| from which the gaps were computed; 0 where these have digits of their own.
         range: Largest minus smallest value of u, and at least the round-off of u.
     """
 
-    def __init__(self, problem: Problem, solution: Any):
-        """Take the data anew, and the solution as the state (collective).
+    problem: Problem
+    eps: float | None
+    u: np.ndarray = field(repr=False)
+    p: np.ndarray = field(repr=False)
+    below: np.ndarray = field(repr=False)
+    above: np.ndarray = field(repr=False)
+    elastic: np.ndarray = field(repr=False)
+    noise: np.ndarray = field(repr=False)
+    stiffness: np.ndarray = field(repr=False)
+    forces: float
+    size: float
+    range: float
 
-        Raises:
-            InputError: If the solution is of another mesh or element, or of a step in time.
+    @classmethod
+    def of(
+        cls, problem: Problem, u: np.ndarray, p: np.ndarray, eps: float | None, size: float, stiffness: np.ndarray,
+        terms: np.ndarray,
+    ) -> State:  # fmt: skip
+        """The present state of a problem, of which its last residual was (collective).
+
+        Args:
+            problem: Its state is w.
+            u: See the attributes, as all others.
+            p: At owned points of I.
+            eps: None for the inequality.
+            size: See the attributes.
+            stiffness: See the attributes.
+            terms: How large the terms are that a(u, .) is a sum of, at owned dofs.
         """
-        if not problem.at_rest:
-            raise InputError(f"{problem.source}: verify: a step in time has no check; equilibria have")
-        self.problem, self.eps, comm = problem, solution.eps, problem.comm
-        u_values = solution.u.x.array[: problem.owned]
-        if total(comm, len(solution.u.x.array) != len(problem.solution().x.array)) > 0:
-            raise InputError(f"{problem.source}: verify: the solution is of another mesh or element")
-        problem.renew(stiffness=True)
-        self.u = problem.in_components(u_values)
-        problem.set_reference(u_values)
-        if self.eps is not None:
-            problem.eps = self.eps
-        self.p = problem.points_of(solution.pressure) / problem.thickness
-        self.below, self.above = problem.gaps()
-        x, out = problem.vector(), problem.law.vector()
-        problem.residual(x, out, penalised=False)
-        pressing = problem.weights * self.p
-        push, pushing = (problem.from_points(values) for values in (pressing, np.abs(pressing)))
-        free, elastic = ~problem.fixed, problem.elastic.array_r
-        self.unbalanced = np.where(free, elastic - push, 0.0)
-        self.forces = problem.load + total(comm, np.abs(elastic[problem.fixed])) + total(comm, np.abs(pressing))
-        A = problem.jacobian(x, penalised=False)
-        diagonal = A.getDiagonal()
-        self.stiffness = diagonal.array_r + (0.0 if self.eps is None else _penalty_stiffness(problem, self.p, self.eps))
-        size = _absolute(A, np.abs(problem.w) + np.abs(problem.state.r))
-        self.noise = np.where(free, ROUNDED * (size + pushing), 0.0)
-        for vector in (x, out, diagonal):
-            vector.destroy()
-        self.size = max(largest(comm, np.abs(u_values)), largest(comm, np.abs(problem.given[problem.fixed])), 0.0)
-        span = largest(comm, self.u) - smallest(comm, self.u)
-        self.range = max(span, ROUNDED * self.size)
+        comm, elastic, pressing = problem.comm, problem.elastic.array_r.copy(), np.abs(problem.weights * p)
+        below, above = problem.gaps()
+        noise = np.where(problem.fixed, 0.0, ROUNDED * (terms + problem.from_points(pressing)))
+        forces = problem.load + total(comm, np.abs(elastic[problem.fixed])) + total(comm, pressing)
+        span = max(largest(comm, u) - smallest(comm, u), ROUNDED * size)
+        return cls(problem, eps, u, np.array(p), below, above, elastic, noise, stiffness, forces, size, span)
+
+    @property
+    def unbalanced(self) -> np.ndarray:
+        """a(u, .) - f - I(p, .); 0 where u is given (collective)."""
+        push = self.problem.from_points(self.problem.weights * self.p)
+        return np.where(self.problem.fixed, 0.0, self.elastic - push)
+
+    @property
+    def left(self) -> float:
+        """The sum of unbalanced forces that solvers may leave: their tolerance, or round-off (collective)."""
+        return TOLERANCE * self.forces + total(self.problem.comm, self.noise)
 
 
 def _absolute(A: PETSc.Mat, values: np.ndarray) -> np.ndarray:
@@ -94,11 +107,6 @@ def _absolute(A: PETSc.Mat, values: np.ndarray) -> np.ndarray:
     return found
 
 
-def _penalty_stiffness(problem: Problem, p: np.ndarray, eps: float) -> np.ndarray:
-    """D_i/eps at dofs in contact, 0 elsewhere."""
-    return problem.from_points(np.where(p != 0, problem.weights, 0.0)) / eps
-
-
 def verify(problem: Problem, solution: Any) -> Verification:
     """Check a solution (collective).
 
@@ -109,12 +117,39 @@ def verify(problem: Problem, solution: Any) -> Verification:
     Raises:
         InputError: If the solution is of another mesh or element, or of a step in time.
     """
-    state = State(problem, solution)
-    found = [*_values(state), *_obstacles(state), *_balance(state), *_contact(state, solution)]
+    state = _taken(problem, solution)
+    found = [*_values(state), *contact_law(state), balance(state), _moved(state), *_contact(state, solution)]
     known = distance(problem, state.eps, state.unbalanced, state.noise)
     if known is not None:
         found.append(_same(state, known))
     return Verification(tuple(found))
+
+
+def _taken(problem: Problem, solution: Any) -> State:
+    """A solution as the state of its problem, with the data anew (collective).
+
+    Raises:
+        InputError: If the solution is of another mesh or element, or of a step in time.
+    """
+    if not problem.at_rest:
+        raise InputError(f"{problem.source}: verify: a step in time has no check; equilibria have")
+    comm, u_values = problem.comm, solution.u.x.array[: problem.owned]
+    if total(comm, len(solution.u.x.array) != len(problem.solution().x.array)) > 0:
+        raise InputError(f"{problem.source}: verify: the solution is of another mesh or element")
+    problem.renew(stiffness=True)
+    problem.set_reference(u_values)
+    if solution.eps is not None:
+        problem.eps = solution.eps
+    p = problem.points_of(solution.pressure) / problem.thickness
+    size = max(largest(comm, np.abs(u_values)), largest(comm, np.abs(problem.given[problem.fixed])), 0.0)
+    x, out = problem.vector(), problem.law.vector()
+    problem.residual(x, out, penalised=False)
+    A = problem.jacobian(x, penalised=False)
+    diagonal = A.getDiagonal()
+    stiffness, terms = diagonal.array_r.copy(), _absolute(A, np.abs(problem.w) + np.abs(problem.state.r))
+    for vector in (x, out, diagonal):
+        vector.destroy()
+    return State.of(problem, problem.in_components(u_values), p, solution.eps, size, stiffness, terms)
 
 
 def _values(s: State) -> list[Finding]:
@@ -128,7 +163,7 @@ def _values(s: State) -> list[Finding]:
     ]
 
 
-def _obstacles(s: State) -> list[Finding]:
+def contact_law(s: State) -> list[Finding]:
     """(3.7), (3.8): p = -(u - g)^+/eps; of the inequality u <= g. (3.20): no pressure without contact."""
     problem, comm = s.problem, s.problem.comm
     if not problem.constrained:
@@ -140,7 +175,7 @@ def _obstacles(s: State) -> list[Finding]:
         law = Finding("u between the obstacles", "(3.19)", most, at * s.range + ROUNDED * s.size)
     else:
         off = largest(comm, np.abs(beyond - s.eps * s.p)[problem.touchable])
-        limit = ROUNDED * (s.size + largest(comm, np.abs(beyond)))
+        limit = ROUNDED * s.size + 4 * EPSILON * largest(comm, np.abs(beyond))
         law = Finding("p = -(u - g)^+/eps", "(3.7)-(3.8)", max(off, 0.0), limit)
     short = [np.where(np.isfinite(gap), np.maximum(gap, 0.0), s.range) for gap in (s.below, s.above)]
     D, work = problem.weights, np.maximum(s.p, 0.0) * short[0] + np.maximum(-s.p, 0.0) * short[1]
@@ -149,22 +184,20 @@ def _obstacles(s: State) -> list[Finding]:
                          (at * s.range + ROUNDED * s.size) * s.forces)]  # fmt: skip
 
 
-def _balance(s: State) -> list[Finding]:
-    """(3.4), or (3.10) of the inequality: a(u, v) - f(v) = I(p, v) for all v of V_h.
+def balance(s: State) -> Finding:
+    """(3.4), or (3.10) of the inequality: a(u, v) - f(v) = I(p, v) for all v of V_h."""
+    return Finding("forces at nodes balance", "(3.4)", total(s.problem.comm, np.abs(s.unbalanced)), s.left)
 
-    In the sum, and beside the stiffness of each node: forces of a stiff part may outweigh all others.
-    """
-    comm, problem = s.problem.comm, s.problem
-    unbalanced = np.abs(s.unbalanced)
-    moved, rounded = (np.divide(part, s.stiffness, out=np.zeros(len(part)), where=s.stiffness > 0)
-                      for part in (unbalanced, s.noise))  # fmt: skip
-    return [
-        Finding("forces at nodes balance", "(3.4)", total(comm, unbalanced),
-                TOLERANCE * s.forces + total(comm, s.noise)),
-        Finding("forces that are left move u", "(3.4)", total(comm, moved),
-                small_correction(problem) + total(comm, rounded) + ROUNDED * total(comm, np.abs(s.u)),
-                problem.affine and problem.nodal),
-    ]  # fmt: skip
+
+def _moved(s: State) -> Finding:
+    """The same beside the stiffness of each node: forces of a stiff part may outweigh all others."""
+    comm, problem, stiffness = s.problem.comm, s.problem, s.stiffness
+    if s.eps is not None:
+        stiffness = stiffness + problem.from_points(np.where(s.p != 0, problem.weights, 0.0)) / s.eps
+    moved, rounded = (np.divide(part, stiffness, out=np.zeros(len(part)), where=stiffness > 0)
+                      for part in (np.abs(s.unbalanced), s.noise))  # fmt: skip
+    limit = small_correction(problem) + total(comm, rounded) + ROUNDED * total(comm, np.abs(s.u))
+    return Finding("forces that are left move u", "(3.4)", total(comm, moved), limit, problem.affine and problem.nodal)
 
 
 def _contact(s: State, solution: Any) -> list[Finding]:

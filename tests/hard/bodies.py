@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.bodies import BodyContext
 from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
@@ -25,38 +23,22 @@ from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_
 SOLVED = 1e-8  # relative: how far solves are from the discrete solution
 UNIT = "unit"  # name under [define] of the factor of all stiffnesses and loads, 1 in MPa
 PASCALS = 1e6
+GRID = 1e-6  # of the extent: places nearer than this are one
 AUTO = 1e-3  # eps = "auto" in units of h/E
 
 
-@dataclass(frozen=True)
-class _Solved:
-    answer: Answer
-    u: np.ndarray
-    energy: float  # a(u, u)
-
-    @property
-    def nodes(self) -> ContactTable:
-        return self.answer.nodes
-
-    @property
-    def work(self) -> float:
-        """sum p_i^2 D_i."""
-        return float(self.nodes.pressure**2 @ self.nodes.areas)
-
-
-class _Form:
+def _squared(context: BodyContext, values: np.ndarray) -> float:
     """a(v, v) for values of v at local dofs (collective)."""
+    u, kept = context.body.u, context.body.u.x.array.copy()
+    u.x.array[:] = values
+    energy = fem.assemble_scalar(releases.form(context.body.law.energy))
+    u.x.array[:] = kept
+    return 2 * total(context.body.level.comm, float(energy))
 
-    def __init__(self, context: BodyContext):
-        self._u, self._comm = context.body.u, context.body.level.comm
-        self._form = releases.form(2 * context.body.law.energy)
 
-    def at(self, values: np.ndarray) -> float:
-        kept = self._u.x.array.copy()
-        self._u.x.array[:] = values
-        found = total(self._comm, float(fem.assemble_scalar(self._form)))
-        self._u.x.array[:] = kept
-        return found
+def _work(one: Answer) -> float:
+    """sum p_i^2 D_i."""
+    return float(one.nodes.pressure**2 @ one.nodes.areas)
 
 
 def judge_body(
@@ -82,7 +64,7 @@ def judge_body(
     ways: list[tuple[str, float | str | None]] = [("vi", None), *(("penalty", eps) for eps in epsilons)]
     try:
         with closing(BodyContext(scene, comm)) as context:
-            form, scale = _Form(context), None
+            scale = None
             for method, eps in ways:
                 start = time.perf_counter()
                 if isinstance(eps, float) and scale is None:
@@ -90,7 +72,8 @@ def judge_body(
                     assert auto is not None
                     scale = auto / AUTO
                 try:
-                    one = _solved(context, form, method, eps * scale if isinstance(eps, float) and scale else eps)
+                    number = eps * scale if isinstance(eps, float) and scale else eps
+                    one = context.answer(asked(scene, method, number))
                 except NotConverged as error:
                     yield row_of(scene, method, eps, FAILED, start, message=str(error))
                     continue
@@ -100,8 +83,9 @@ def judge_body(
                     yield row_of(scene, method, eps, REJECTED, start, message=str(error))
                     continue
                 found.append(one)
-                findings = [*_of_one(one), *_known(one, known)]
-                findings += _beside(one, found[0], form) if found[0] is not one else []
+                checked = context.body.verify(one)
+                findings = [*checked.findings, *_penetration(one), *_known(one, known)]
+                findings += _beside(context, one, found[0]) if found[0] is not one else []
                 yield _verdict(scene, method, eps, start, one, findings, refuse, off=_off(one, found[0]))
     except InputError as error:
         expected = bool(refuse) and refuse in str(error)
@@ -110,83 +94,68 @@ def judge_body(
     if units and UNIT in scene.tables.define and found:
         start, other = time.perf_counter(), scene.change({f"define.{UNIT}": PASCALS})
         with closing(BodyContext(other, comm)) as context:
-            one = _solved(context, _Form(context), "vi", None)
+            one = context.answer(asked(other, "vi", None))
             yield _verdict(scene, "vi", None, start, one, _in_pascals(found[0], one), "", trial="pascals")
 
 
-def _solved(context: BodyContext, form: _Form, method: str, eps: float | str | None) -> _Solved:
-    answer = context.answer(asked(context.scene, method, eps))
-    u = answer.u.x.array.copy()
-    return _Solved(answer, u, form.at(u))
-
-
 def _verdict(
-    scene: Scene, method: str, eps: float | str | None, start: float, one: _Solved, findings: Sequence[Finding],
+    scene: Scene, method: str, eps: float | str | None, start: float, one: Answer, findings: Sequence[Finding],
     refuse: str, *, off: float | None = None, trial: str = "",
 ) -> Row:  # fmt: skip
     digits: dict[str, Any] = {"off": off, "from_heights": None, "line": None, "left": None}
-    record = {**one.answer.record, "monotone": None, "digits": digits}
+    record = {**one.record, "monotone": None, "digits": digits}
     return judged_row(scene, method, eps, start, record, findings, trial, refuse)
 
 
-def _of_one(one: _Solved) -> list[Finding]:
-    """Signs, complementarity, and the law of the penalty at the nodes."""
-    p, gap, eps = one.nodes.pressure, one.nodes.gap, one.answer.eps
-    most = float(p.max(initial=0.0))
-    size = float(np.abs(gap).max(initial=0.0))
-    findings = [Finding("pressure >= 0", "p >= 0", -float(p.min(initial=0.0)), SOLVED * most)]
+def _penetration(one: Answer) -> list[Finding]:
+    """Of the penalty: eps times the pressure, at each node."""
+    p, gap, eps = one.nodes.pressure, one.nodes.gap, one.eps
     if eps is None:
-        findings.append(Finding("complementarity", "min(p, gap) = 0",
-                                float(np.abs(np.minimum(p / (most or 1.0), gap / (size or 1.0))).max(initial=0.0)),
-                                SOLVED))  # fmt: skip
-    else:
-        margin = SOLVED * (eps * most + 1e-4 * size)
-        law = float(np.abs(np.maximum(-gap, 0.0) - eps * p).max(initial=0.0))
-        findings += [
-            Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin),
-            Finding("law of the penalty", "(3.7)", law, margin),
-        ]
-    return findings
+        return []
+    most, size = float(p.max(initial=0.0)), float(np.abs(gap).max(initial=0.0))
+    margin = SOLVED * (eps * most + 1e-4 * size)
+    return [Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin)]
 
 
-def _known(one: _Solved, known: Mapping[str, float]) -> list[Finding]:
-    report = one.answer.record.get("report", {})
+def _known(one: Answer, known: Mapping[str, float]) -> list[Finding]:
+    report = one.record.get("report", {})
     return [Finding(f"known: {name}", "equilibrium", abs(float(report[name])), limit) for name, limit in known.items()]
 
 
-def _beside(one: _Solved, exact: _Solved, form: _Form) -> list[Finding]:
+def _beside(context: BodyContext, one: Answer, exact: Answer) -> list[Finding]:
     """The penalty and the variational inequality: a(e, e) <= eps/4 sum p_i^2 D_i, and the size of the pressure."""
-    eps = one.answer.eps
+    eps = one.eps
     assert eps is not None
-    apart, size = form.at(one.u - exact.u), float(np.sqrt(exact.energy))
+    v, u = exact.u.x.array, one.u.x.array
+    apart, size = _squared(context, u - v), float(np.sqrt(_squared(context, v)))
     return [
         Finding("penalty and inequality: energy norm", "Thm 3.3", float(np.sqrt(max(apart, 0.0))),
-                float(np.sqrt(eps * exact.work)) / 2 + SOLVED * size),
-        Finding("penalty and inequality: size of the pressure", "Thm 3.2", float(np.sqrt(one.work)),
-                float(np.sqrt(exact.work)) * (1 + SOLVED)),
+                float(np.sqrt(eps * _work(exact))) / 2 + SOLVED * size),
+        Finding("penalty and inequality: size of the pressure", "Thm 3.2", float(np.sqrt(_work(one))),
+                float(np.sqrt(_work(exact))) * (1 + SOLVED)),
     ]  # fmt: skip
 
 
-def _off(one: _Solved, exact: _Solved) -> float:
+def _off(one: Answer, exact: Answer) -> float:
     most = float(np.abs(exact.nodes.pressure).max(initial=0.0))
     return float(np.abs(one.nodes.pressure - exact.nodes.pressure).max(initial=0.0)) / max(most, 1e-300)
 
 
-def _in_pascals(before: _Solved, one: _Solved) -> list[Finding]:
+def _in_pascals(before: Answer, one: Answer) -> list[Finding]:
     size = float(np.abs(before.nodes.forces).max(initial=0.0))
-    new, old = (nodes.forces[_by_place(nodes)] for nodes in (one.nodes, before.nodes))
+    new, old = (nodes.forces[by_place(nodes.points)] for nodes in (one.nodes, before.nodes))
     apart = float(np.abs(new / PASCALS - old).max(initial=0.0))
-    more = abs(one.answer.iterations - before.answer.iterations)
+    more = abs(one.iterations - before.iterations)
     return [
         Finding("other units: steps", "equations scale", more, 1),
         Finding("other units: the same forces", "equations scale", apart, SOLVED * size),
     ]
 
 
-def _by_place(nodes: ContactTable) -> np.ndarray:
-    """Rows in the order of places, whatever their round-off."""
-    order: np.ndarray = np.lexsort(np.round(nodes.points, 9).T)
-    return order
+def by_place(points: np.ndarray) -> np.ndarray:
+    """Numbers of points (n, 3) in the order of their places, whatever their round-off."""
+    extent = max(float(np.ptp(points)), 1e-300)
+    return np.lexsort(np.rint(points / (GRID * extent)).T)
 
 
 def fields_of(scene: Scene, comm: MPI.Comm) -> dict[str, np.ndarray]:
@@ -195,7 +164,7 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> dict[str, np.ndarray]:
     for method in ("vi", "penalty"):
         with closing(BodyContext(scene, comm)) as context:
             nodes = context.answer(asked(scene, method, None if method == "vi" else "auto")).nodes
-        order = _by_place(nodes)
+        order = by_place(nodes.points)
         found |= {"points": nodes.points[order], f"{method}.p": nodes.pressure[order]}
     return found
 

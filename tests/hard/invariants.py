@@ -21,20 +21,15 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.check.finding import Finding
+from fenicsx_obstacle.check.verification import EPSILON, ROUNDED, balance, contact_law
 from fenicsx_obstacle.mesh.points import spread
 from fenicsx_obstacle.parallel import largest, total
-from tests.hard.solved import EPSILON, FEW, TOUCHING, Solved, balanced_to
+from tests.hard.solved import Solved
 
 
 def of_one(s: Solved) -> list[Finding]:
     """What holds for a single answer, on any mesh (collective)."""
-    return [_balance(s), _equilibrium(s), _complementarity(s), *_law(s), *_signs(s)]
-
-
-def _balance(s: Solved) -> Finding:
-    """(3.4), or (3.10) of the inequality: a(u, v) - f(v) = I(p, v) for all v of V_h."""
-    left = total(s.ground.comm, np.abs(s.residual))
-    return Finding("forces at nodes balance", "(3.4)", left, balanced_to(s))
+    return [balance(s), _equilibrium(s), *contact_law(s), *_signs(s)]
 
 
 def _equilibrium(s: Solved) -> Finding:
@@ -56,29 +51,9 @@ def _equilibrium(s: Solved) -> Finding:
             net += total(g.comm, fem.assemble_scalar(releases.form(form)))
     contact, edge = total(g.comm, (g.D * s.p)[g.free]), total(g.comm, s.elastic[problem.fixed])
     # of the edge reactions, whose rows are no part of the solvers' balance
-    edge_floor = total(g.comm, (FEW * s.diagonal * (np.abs(s.w) + np.abs(s.r)))[problem.fixed])
+    edge_floor = total(g.comm, (ROUNDED * s.stiffness * (np.abs(s.w) + np.abs(s.r)))[problem.fixed])
     return Finding("loads, contact and edges balance", "(3.4), v = 1", abs(net - contact - edge),
-                   balanced_to(s) + edge_floor + EPSILON * problem.level.dofs * s.forces)  # fmt: skip
-
-
-def _complementarity(s: Solved) -> Finding:
-    """(3.20): I(p, u - g) = 0; of the penalty, pressure only beyond: no node that is short of an obstacle presses."""
-    g = s.ground
-    push, pull = np.maximum(s.p, 0.0), np.maximum(-s.p, 0.0)
-    short = [np.where(np.isfinite(gap), np.maximum(gap, 0.0), s.range) for gap in (s.below, s.above)]
-    work = total(g.comm, g.D * (push * short[0] + pull * short[1]))
-    return Finding("no pressure without contact", "(3.20)", work, TOUCHING * s.range * s.forces)
-
-
-def _law(s: Solved) -> list[Finding]:
-    """(3.7)-(3.8): p = -(u - g)^+/eps; of the inequality u <= g."""
-    g = s.ground
-    beyond = np.maximum(-s.below, 0.0) - np.maximum(-s.above, 0.0)
-    beyond = np.where(g.touchable, beyond, 0.0)
-    if s.eps is None:
-        return [Finding("u between the obstacles", "(3.19)", largest(g.comm, np.abs(beyond)), TOUCHING * s.range)]
-    off, most = largest(g.comm, np.abs(beyond - s.eps * s.p)), largest(g.comm, np.abs(beyond))
-    return [Finding("p = -(u - g)^+/eps", "(3.7)-(3.8)", off, 4 * EPSILON * max(most, 0.0))]
+                   s.left + edge_floor + EPSILON * problem.level.dofs * s.forces)  # fmt: skip
 
 
 def _signs(s: Solved) -> list[Finding]:
@@ -153,28 +128,28 @@ def energy_round_off(s: Solved) -> float:
 
     - Slopes in a cell are sums of (w + r) grad phi, rounded relative to the sizes of these terms, not of the slope.
       With s = (sum of A_ii (|w_i| + |r_i|)^2)^(1/2), by Cauchy's inequality a(u, u)/2 is off by
-      `FEW` s a(u, u)^(1/2) and the square of `FEW` s.
+      `ROUNDED` s a(u, u)^(1/2) and the square of `ROUNDED` s.
     - n terms are added in turn: each sum is rounded by half of machine epsilon of what is added so far, and with like
       terms by the same sign.
     - The state is off by R, and the energy, at its minimum, by R^2.
     """
     g, sizes = s.ground, np.abs(s.w) + np.abs(s.r)
     terms = abs(s.energy or 0.0) + s.forces * largest(g.comm, sizes)  # at least a(u, u)/2
-    slopes = FEW * np.sqrt(total(g.comm, s.diagonal * sizes**2))
+    slopes = ROUNDED * np.sqrt(total(g.comm, s.stiffness * sizes**2))
     rounded = slopes * np.sqrt(2 * terms) + slopes**2
     second = s.R**2 if np.isfinite(s.R) else 0.0
     return rounded + EPSILON / 2 * g.problem.level.dofs * terms + second
 
 
-def same(one: Solved, other: Solved, name: str) -> list[Finding]:
+def same(one: Solved, other: Solved, name: str, why: str = "unique") -> list[Finding]:
     """Two answers of the same problem with the same eps: (3.4), or (3.19), has one solution (collective)."""
     g = one.ground
     e = one.minus(other)
     pressures = np.abs(one.p - other.p) - one.q - other.q
     apart, known = one.apart(other)
     return [
-        Finding(f"{name}: the same u in the energy norm", "unique", apart, one.R + other.R + known, g.held),
-        Finding(f"{name}: the same u at every node", "unique", largest(g.comm, np.abs(e) - one.z - other.z), 0.0,
+        Finding(f"{name}: the same u in the energy norm", why, apart, one.R + other.R + known, g.held),
+        Finding(f"{name}: the same u at every node", why, largest(g.comm, np.abs(e) - one.z - other.z), 0.0,
                 g.monotone),
-        Finding(f"{name}: the same pressure", "unique", largest(g.comm, pressures[g.touchable]), 0.0, g.monotone),
+        Finding(f"{name}: the same pressure", why, largest(g.comm, pressures[g.touchable]), 0.0, g.monotone),
     ]  # fmt: skip

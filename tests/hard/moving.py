@@ -9,9 +9,7 @@ from contextlib import closing
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.algebra.newton import penalty_pressure
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
-from fenicsx_obstacle.algebra.vi import residual_pressure
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.check.finding import Finding
@@ -21,6 +19,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.invariants import of_one
+from tests.hard.judge import take
 from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
 from tests.hard.solved import ReferenceProblem, Solved
 
@@ -43,8 +42,7 @@ def judge_moving(
             problem = context.problem
             with closing(ReferenceProblem(problem)) as ground:  # of the last step
                 number = None if eps is None else problem.eps
-                p = residual_pressure(problem) if eps is None else penalty_pressure(problem)
-                solved = ground.take(p, number)
+                solved = take(context, ground, number)
                 findings = [*of_one(solved), *_energies(answer)]
                 if known is not None and number is not None:
                     findings += _beside_inequality(answer, solved, *known)

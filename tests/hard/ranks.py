@@ -16,12 +16,12 @@ from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.parallel import gathered
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard import bodies
+from tests.hard.bodies import GRID, by_place
 from tests.hard.invariants import energy_round_off
 from tests.hard.judge import METHODS, TRIAL, take
 from tests.hard.solved import ReferenceProblem
 
 Fields = dict[str, np.ndarray]
-GRID = 1e-6  # of the extent: places nearer than this are one
 
 
 def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
@@ -33,7 +33,7 @@ def fields_of(scene: Scene, comm: MPI.Comm) -> Fields:
     with closing(SolverContext(scene, comm)) as context, closing(ReferenceProblem(context.problem)) as ground:
         level = context.problem.level
         points = gathered(level.comm, level.points.T[: level.owned])
-        order = None if points is None else _by_place(points)
+        order = None if points is None else by_place(points)
         for method in ("vi", *METHODS):
             context.answer(replace(context.scene.options, method=method, eps=TRIAL))
             solved = take(context, ground, None if method == "vi" else TRIAL)
@@ -59,11 +59,6 @@ def _matrix(ground: ReferenceProblem, order: np.ndarray | None) -> Fields:
     rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     place = np.argsort(order)
     return {"rows": place[rows], "columns": place[columns], "values": values * ground.free[rows]}
-
-
-def _by_place(points: np.ndarray) -> np.ndarray:
-    extent = max(float(np.ptp(points)), 1e-300)
-    return np.lexsort(np.rint(points / (GRID * extent)).T)
 
 
 def agree_on(one: Fields, other: Fields, method: str) -> list[Finding]:

@@ -19,7 +19,7 @@ and two answers to one problem agree within the sum of these: no tolerance is ch
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import ufl
@@ -29,68 +29,38 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.data_scales import NEGLIGIBLE_FORCE, nearest_gap
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
-from fenicsx_obstacle.algebra.stopping import TOLERANCE
+from fenicsx_obstacle.algebra.vi import AT_BOUND
+from fenicsx_obstacle.check.verification import ROUNDED, State
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import ROUND_OFF
 from fenicsx_obstacle.effects.effect import is_support, residual
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-EPSILON = float(np.finfo(float).eps)
-FEW = 8 * EPSILON  # of |A| |u| in a row of some seven entries
-TOUCHING = 1e-12  # of the range of u: nearer than this SNES VI takes a node to be at its bound
 NONLINEAR_FACTOR = 2.0  # how many times stiffer than between two answers the membrane may be at either
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class Solved(State):
     """A solution of one `ReferenceProblem`; arrays have values at owned dofs.
 
     Attributes:
         ground: What it is an answer to.
-        eps: Penalty parameter; None for the inequality.
         w: u - r, whose digits are kept in contact.
         r: The reference, w = u - r.
-        p: Contact pressure, > 0 against the lower obstacle.
-        elastic: a(u, .) - f, the support reactions at fixed dofs included.
-        below: u - lower, inf without one.
-        above: upper - u, inf without one.
         energy: That of the penalised problem, or of the inequality; None where there is none.
-        forces: Sum of the acting forces: load, support reactions, contact.
-        noise: Round-off of the residual at each dof, a force; 0 at fixed dofs.
-        diagonal: Of the derivative of a(u, .) at this state; of the whole matrix, fixed rows included.
-        range: Largest minus smallest value of u.
         z: How far u may be from the discrete solution, at each node.
+        q: How far p may be, from D (p - p') = A e - r, row by row.
         R: How far in the energy norm; inf where nothing is known.
     """
 
     ground: ReferenceProblem
-    eps: float | None
     w: np.ndarray = field(repr=False)
     r: np.ndarray = field(repr=False)
-    p: np.ndarray = field(repr=False)
-    elastic: np.ndarray = field(repr=False)
-    below: np.ndarray = field(repr=False)
-    above: np.ndarray = field(repr=False)
     energy: float | None
-    forces: float
-    noise: np.ndarray = field(repr=False)
-    diagonal: np.ndarray = field(repr=False)
-    range: float
     z: np.ndarray = field(repr=False)
+    q: np.ndarray = field(repr=False)
     R: float
-
-    @property
-    def residual(self) -> np.ndarray:
-        """a(u, .) - f - I(p, .), the unbalanced forces at free dofs."""
-        return np.where(self.ground.free, self.elastic - self.ground.D * self.p, 0.0)
-
-    @property
-    def q(self) -> np.ndarray:
-        """A bound of the error of the pressure, from D (p - p') = A e - r, row by row."""
-        g = self.ground
-        moved = 2 * self.diagonal * self.z + np.abs(self.residual)
-        return np.where(g.touchable, moved / np.maximum(g.D, 1e-300), 0.0)
 
     def penetration(self, side: str) -> float:
         """Largest distance beyond the `lower` or `upper` obstacle, >= 0 (collective)."""
@@ -242,31 +212,28 @@ class ReferenceProblem:
         if self.bent:
             self._settle()
         w, r = problem.w.copy(), problem.state.r.copy()
-        elastic = problem.elastic.array_r.copy()
-        pressing = np.abs(self.D * p)
-        forces = problem.load + total(self.comm, np.abs(elastic[problem.fixed])) + total(self.comm, pressing)
-        noise = np.where(self.free, FEW * (self.diagonal * (np.abs(w) + np.abs(r)) + pressing), 0.0)
-        below, above = problem.gaps()
+        found = State.of(problem, problem.u, p, eps, 0.0, self.diagonal, self.diagonal * (np.abs(w) + np.abs(r)))
         # where all data are zero solvers take for nothing what they cannot compare with any force
         nearest = nearest_gap(problem)
         if np.isfinite(nearest):
             nothing = np.where(self.free, NEGLIGIBLE_FORCE * nearest * self.diagonal, 0.0)
-            noise, forces = noise + nothing, max(forces, total(self.comm, nothing))
+            forces = max(found.forces, total(self.comm, nothing))
+            found = replace(found, noise=found.noise + nothing, forces=forces)
         state = problem.vector()
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
-        left = np.where(self.free, np.abs(elastic - self.D * p), 0.0) + noise
-        u_values = w + r
-        span = largest(self.comm, u_values) + largest(self.comm, -u_values)
-        last = FEW * (np.abs(w) + np.abs(r)) * self.free  # the values of u themselves are rounded
+        left = np.abs(found.unbalanced) + found.noise
+        last = ROUNDED * (np.abs(w) + np.abs(r)) * self.free  # the values of u themselves are rounded
         # what SNES VI takes to be at its bound may be this far off
-        slip = last if eps is not None else last + TOUCHING * span
+        slip = last if eps is not None else last + AT_BOUND * found.range
         z, R = np.full(len(w), np.inf), np.inf
         if self.held:
             z = np.abs(self.lift(left)) + slip
-            R = self._reach(left, np.where(self.free, elastic - self.D * p, 0.0), slip, last)
-        return Solved(self, eps, w, r, np.array(p), elastic, below, above, energy, forces, noise, self.diagonal, span,
-                      z, R)  # fmt: skip
+            R = self._reach(left, found.unbalanced, slip, last)
+        q = np.where(
+            self.touchable, (2 * self.diagonal * z + np.abs(found.unbalanced)) / np.maximum(self.D, 1e-300), 0.0
+        )
+        return Solved(**vars(found), ground=self, w=w, r=r, energy=energy, z=z, q=q, R=R)
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
         """R of a residual, of which `left` is the size with its round-off."""
@@ -286,8 +253,3 @@ class ReferenceProblem:
         self._solvers.clear()
         for matrix in (self.A, self._S):
             matrix.destroy()
-
-
-def balanced_to(solved: Solved) -> float:
-    """The sum of unbalanced forces that solvers may leave: their tolerance, or round-off (collective)."""
-    return TOLERANCE * solved.forces + total(solved.ground.comm, solved.noise)

@@ -51,8 +51,7 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
     solved = [row for row in rows if row.get("dofs") and not row["trial"]]
     fine = [row for row in solved if row["mesh"] == case.meshes[1]]
     small = [row["digits"] for row in solved if row["asked"] == EPS[-2] and row.get("digits")]
-    ratios = {name: _ratios(solved, name) for name in ("penetration", "penalty and inequality: energy norm")}
-    work = _most(ratios["penalty and inequality: energy norm"])
+    work = _most(_ratios(solved, "penalty and inequality: energy norm"))
     return Summary(
         case=case,
         verdicts=Counter(row["verdict"] for row in rows),
@@ -60,7 +59,7 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
         monotone=fine[0]["monotone"] if fine else None,
         steps={method: max(row["newton_iterations"] for row in solved if row["method"] == method)
                for method in ("vi", *METHODS) if any(row["method"] == method for row in solved)},
-        penetration=_most(ratios["penetration"]),
+        penetration=_most(_ratios(solved, "penetration")),
         work=None if work is None else work**2,
         moved=_moved(case, solved),
         off=_most(digits["off"] for digits in small),
@@ -69,20 +68,10 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
     )  # fmt: skip
 
 
-def _limits(row: Row, name: str) -> tuple[float, float]:
-    found = next(finding for finding in row["findings"] if finding["name"] == name)
-    return found["observed"], found["limit"]
-
-
 def _ratios(rows: Sequence[Row], name: str) -> list[float]:
     """Observed over limit where eps is so large that solvers' accuracy is no part of the limit."""
-    found = []
-    for row in rows:
-        if (row["eps"] or 0.0) >= 1e-7 and any(finding["name"] == name for finding in row["findings"]):
-            observed, limit = _limits(row, name)
-            if observed is not None and limit:
-                found.append(observed / limit)
-    return found
+    found = [one for row in rows if (row["eps"] or 0.0) >= 1e-7 for one in row["findings"] if one["name"] == name]
+    return [one["observed"] / one["limit"] for one in found if one["observed"] is not None and one["limit"]]
 
 
 def _most(values: Iterable[float | None]) -> float | None:

@@ -21,7 +21,6 @@ from tests.random.families.manufactured import (
     Line,
     Manufactured,
     Piecewise,
-    everywhere,
     expression,
     load_of,
     square,
@@ -109,7 +108,7 @@ class Axial(Manufactured):
         return self._of(self.obstacle)
 
     def u(self) -> list[Piecewise]:
-        psi, phi, sign = self._psi(), self._curve()[1], -1 if self.upper else 1
+        psi, phi, sign = self._psi(), self._curve()[1], self.sign
         if self.kind == "none":
             return [self._parts(psi, psi)]
         if self.kind == "pipe":
@@ -124,9 +123,6 @@ class Axial(Manufactured):
         stiff = self._of(self.stiff)
         return self._parts(stiff, stiff)
 
-    def foundation(self) -> Piecewise | None:
-        return everywhere(self._of(self.bed)) if self.bed != "0" else None
-
     def weight(self, px: np.ndarray) -> np.ndarray:
         return px
 
@@ -135,8 +131,7 @@ class Axial(Manufactured):
         found = {"tension": tension.text(self.spelling), "axial_symmetry": True}
         load = u.map(lambda u, tension: sympy.expand(load_of(u, tension, k, axial=True)), tension)
         if self.kind not in ("none", "pipe"):
-            sign = -1 if self.upper else 1
-            pressed, phi = sign * self._of(self.pressure), self._curve()[1]
+            pressed, phi = self.sign * self._of(self.pressure), self._curve()[1]
             outside = self.kind in ("hole", "shell")
             zero = sympy.Integer(0)
             push = self._parts(zero, pressed) if outside else self._parts(pressed, zero)
@@ -144,7 +139,7 @@ class Axial(Manufactured):
             low = str(self._psi())
             if self.lowered:
                 low = f"{low} - 0.7*max(0, {-phi if outside else phi} - {self.radius / 9!r})"
-            found["upper" if self.upper else "lower"] = f"{'-' if self.upper else ''}({low})"
+            found[self.side] = f"{'-' if self.upper else ''}({low})"
         found["load"] = load.text(self.spelling)
         if self.bed != "0":
             found["foundation"] = str(k)

@@ -10,7 +10,7 @@ import sympy
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from tests.random.families.manufactured import SIDES, Manufactured, Piecewise, everywhere, expression, load_of
+from tests.random.families.manufactured import SIDES, Manufactured, expression, load_of
 from tests.random.families.meshes import DIAGONALS
 from tests.random.families.strategies import place
 from tests.random.families.varying import SMOOTH, TENSIONS
@@ -63,15 +63,6 @@ class Bearings(Manufactured):
     bearings: tuple[Bearing, ...]
 
     name = "bearings"
-
-    def u(self) -> list[Piecewise]:
-        return [everywhere(expression(self.formula))]
-
-    def tension(self) -> Piecewise:
-        return everywhere(expression(self.stiff))
-
-    def foundation(self) -> Piecewise | None:
-        return everywhere(float(self.bed)) if self.bed != "0" else None
 
     def weight(self, px: np.ndarray) -> np.ndarray:
         return px if self.axial else np.ones_like(px)

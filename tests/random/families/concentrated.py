@@ -24,7 +24,6 @@ from tests.random.families.manufactured import (
     Manufactured,
     Piecewise,
     distance,
-    everywhere,
     expression,
     load_of,
     x,
@@ -75,10 +74,6 @@ class LoadedString(Manufactured):
 
     name = "loaded string"
 
-    @property
-    def _sign(self) -> int:
-        return -1 if self.upper else 1
-
     def u(self) -> list[Piecewise]:
         parts: list[Any] = []
         for left, right in pairwise(sorted({0.0, self.contact, *self.points, 1.0})):
@@ -86,17 +81,11 @@ class LoadedString(Manufactured):
             if self.contact > 0 and left >= self.contact:
                 u += self.size * (x - self.contact) ** 2
             u += sum(kink * (x - point) for point, kink in zip(self.points, self.kinks, strict=True) if left >= point)
-            parts.append((((Line((1.0, 0.0), right), True),) if right < 1 else (), self._sign * u))
+            parts.append((((Line((1.0, 0.0), right), True),) if right < 1 else (), self.sign * u))
         return [Piecewise(parts)]
 
-    def tension(self) -> Piecewise:
-        return everywhere(expression(self.stiff))
-
-    def foundation(self) -> Piecewise | None:
-        return everywhere(expression(self.bed)) if self.bed != "0" else None
-
     def data(self) -> dict[str, Any]:
-        sign, mu, k = self._sign, expression(self.stiff), expression(self.bed)
+        sign, mu, k = self.sign, expression(self.stiff), expression(self.bed)
         load = self.u()[0].map(lambda u: sympy.expand(load_of(u, mu, k)))
         if self.contact > 0:
             (sides, first), *others = load.parts
@@ -114,7 +103,7 @@ class LoadedString(Manufactured):
         if self.bed != "0":
             data["foundation"] = self.bed
         if self.contact > 0:
-            data["upper" if self.upper else "lower"] = f"{sign}*({self.obstacle})"
+            data[self.side] = f"{sign}*({self.obstacle})"
         return data
 
     def boundary(self) -> list[dict[str, Any]]:
@@ -215,7 +204,7 @@ class LoadedLine(Manufactured):
         return Piecewise(list(zip(((one, other), (one,), (other,), ()), values, strict=True)))
 
     def u(self) -> list[Piecewise]:
-        psi, sign = expression(self.obstacle), -1 if self.upper else 1
+        psi, sign = expression(self.obstacle), self.sign
         w = self.size * distance(self._other) ** 2 if self.contact else sympy.Integer(0)
         kink = distance(self._line) * expression(self.factor)
         return [self._parts(*(sign * one for one in (psi, psi + w, psi + kink, psi + w + kink)))]
@@ -224,23 +213,23 @@ class LoadedLine(Manufactured):
         return self._parts(*[expression(self.stiff)] * 4)
 
     def data(self) -> dict[str, Any]:
-        (u,), sign, zero = self.u(), -1 if self.upper else 1, sympy.Integer(0)
+        (u,), sign, zero = self.u(), self.sign, sympy.Integer(0)
         load = u.map(load_of, self.tension())
         found = {"tension": self.stiff}
         if self.contact:
             load = load.map(lambda one, p: one - p, self._parts(sign * sympy.Float(self.pressure), zero, zero, zero))
-            found["upper" if self.upper else "lower"] = f"{sign}*({self.obstacle})"
+            found[self.side] = f"{sign}*({self.obstacle})"
         return {**found, "load": load.text(self.spelling)}
 
     def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
         """The scene (collective)."""
-        table, sign = self.mesh, -1 if self.upper else 1
+        table, sign = self.mesh, self.sign
         mesh, tags = lined(comm, table["cells"], table["slope"], table["stretch"], table["scatter"])
         a, b = self._line.direction
         flux = f"{-sign * float(np.hypot(a, b))!r}*({self.stiff})*({self.factor})"
         along: dict[str, Any] = {"on": LINE}
         if self.borne > 0:
-            along["upper" if self.upper else "lower"] = f"{self.value()} - {sign}*max(abs(y - 0.1) - {BORNE}, 0)^2"
+            along[self.side] = f"{self.value()} - {sign}*max(abs(y - 0.1) - {BORNE}, 0)^2"
             flux = f"{flux} - {sign * self.borne!r}*max(0, 1 - ((y - 0.1)/{BORNE})^2)"
         if self.springs > 0:
             along["spring"] = f"{self.springs!r}*{SHAPES[self.wire].text(self.spelling)}"

@@ -167,9 +167,6 @@ class Conditions(Manufactured):
 
     name = "conditions"
 
-    def tension(self) -> Piecewise:
-        return everywhere(self.stiff)
-
     def u(self) -> list[Piecewise]:
         return [everywhere(expression(self.smooth)), *(term.both()[0] for term in self.terms)]
 

@@ -81,9 +81,6 @@ class Pole(Manufactured):
 
     name = "pole"
 
-    def tension(self) -> Piecewise:
-        return everywhere(self.stiff)
-
     def u(self) -> list[Piecewise]:
         return [everywhere((x**2 + y**2) ** (self.power / 2))]
 

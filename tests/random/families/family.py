@@ -16,8 +16,11 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.errors import InputError, ObstacleError
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.scenes.tables import OF_SHAPE
+from tests.random.families.elements import Field
 
 ANSWER, REJECTION, EITHER, INPUT_ERROR = "an answer", "a rejection", "either", "a rejection of the input"
+LONGEST = 2000  # characters of a formula
 ROUND_OFF = 1e-12  # of the energy norm: no error can be computed more accurately
 Result = TypeVar("Result")
 
@@ -151,6 +154,69 @@ class Family(ABC):
     def text(self) -> str:
         """TOML or Python that shows the scene to the program again."""
         return toml(self.scene(), f"solve(scene, {vars(self).get('options', {})})")
+
+
+@dataclass(frozen=True)
+class ClosedForm(Family):
+    """A scene whose u is a formula, given on the whole boundary unless `boundary` says otherwise.
+
+    Attributes:
+        mesh: The table [mesh], or what `built` takes.
+        options: Of `solve`.
+    """
+
+    mesh: dict[str, Any]
+    options: dict[str, Any]
+
+    accuracy: ClassVar[float] = 1e-9  # of the true error, relative
+    longest_flux: ClassVar[int] = LONGEST
+
+    @abstractmethod
+    def built(self, comm: MPI.Comm) -> Any:
+        """The table [mesh] as it is, or the mesh that it stands for (collective)."""
+
+    @abstractmethod
+    def data(self) -> dict[str, Any]:
+        """What a scene has in addition to mesh and boundary."""
+
+    @abstractmethod
+    def value(self) -> str:
+        """u as the scene has it."""
+
+    @abstractmethod
+    def error(self, field: Field) -> tuple[float, float]:
+        """Of a field, from below, with the energy of the foundation but not of springs; the norm of u (collective)."""
+
+    def boundary(self) -> list[dict[str, Any]]:
+        """The parts of the boundary."""
+        return [{"value": self.value()}]
+
+    def more(self, judgement: Judgement, answer: Answer) -> None:
+        """Check what else is known of an answer (collective)."""
+
+    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
+        """The scene (collective)."""
+        return Scene(mesh=self.built(comm), boundary=self.boundary(), **self.data())
+
+    def judge(self, judgement: Judgement) -> None:
+        answer = judgement.solve(lambda: self.scene(judgement.comm), **self.options)
+        if answer is None:
+            return
+        if {"bound", "tol"} & set(self.options):
+            judgement.certificate(answer, *self.error(Field(answer.u)), self.accuracy)
+        self.more(judgement, answer)
+
+    @property
+    def short(self) -> bool:
+        """Whether all its formulas are short enough for a scene."""
+        return all(len(str(text)) < LONGEST for text in (self.value(), *self.data().values())) and all(
+            len(part.get("flux", "")) < self.longest_flux for part in self.boundary()
+        )
+
+    def text(self) -> str:
+        if self.mesh["shape"] in OF_SHAPE:
+            return super().text()
+        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.options}"
 
 
 def toml(scene: Scene, call: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import cos, pi, sin
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import sympy
 from hypothesis import strategies as st
+from sympy import Expr
 
 from tests.random.families.manufactured import Curve, Line, Manufactured, Piecewise, everywhere, expression, x, y
 from tests.random.families.strategies import bounds, grids, place, power
@@ -26,6 +28,13 @@ def stepped(s: str, cuts: tuple[float, ...], values: list[str], spelling: str) -
     for c, value in reversed(list(zip(cuts, values[:-1], strict=True))):
         text = spelling.format(s=s, c=repr(c), a=value, b=text)
     return text
+
+
+def layered(direction: tuple[float, float], cuts: Sequence[float], values: Sequence[float | Expr]) -> Piecewise:
+    """Each value up to the next cut along a direction."""
+    sides = ([(Line(direction, cut), True)] for cut in cuts)
+    *first, last = map(sympy.sympify, values)
+    return Piecewise([*zip(sides, first, strict=True), ((), last)])
 
 
 @dataclass(frozen=True)
@@ -46,12 +55,11 @@ class Layers(Manufactured):
 
     name = "layers"
 
-    def _parts(self, values: list[Any]) -> Piecewise:
-        sides = ([(Line((cos(self.angle), sin(self.angle)), cut), True)] for cut in self.cuts)
-        return Piecewise([*zip(sides, values[:-1], strict=True), ((), values[-1])])
+    def _parts(self, values: Sequence[float | Expr]) -> Piecewise:
+        return layered((cos(self.angle), sin(self.angle)), self.cuts, values)
 
     def tension(self) -> Piecewise:
-        return self._parts([sympy.Float(mu) for mu in self.tensions])
+        return self._parts(self.tensions)
 
     def u(self) -> list[Piecewise]:
         s, values, height, start = cos(self.angle) * x + sin(self.angle) * y, [], 0.0, 0.0
@@ -124,13 +132,8 @@ class LayersInContact(Manufactured):
             ends.append((near + far) / 2)
         return depth, ends[0], ends[1]
 
-    def u(self) -> list[Piecewise]:
-        return []
-
     def tension(self) -> Piecewise:
-        *first, last = (sympy.Float(mu) for mu in self.tensions)
-        sides = ([(Line(ALONG_X, cut), True)] for cut in self.cuts)
-        return Piecewise([*zip(sides, first, strict=True), ((), last)])
+        return layered(ALONG_X, self.cuts, self.tensions)
 
     def curves(self) -> list[Curve]:
         return [*super().curves(), *(Line(ALONG_X, end) for end in self.truth()[1:])]
@@ -181,9 +184,6 @@ class Waves(Manufactured):
 
     name = "waves"
     accuracy = 1e-6
-
-    def u(self) -> list[Piecewise]:
-        return []
 
     def tension(self) -> Piecewise:
         return everywhere(expression(self.data()["tension"]))

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
 from math import cos, sin
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import sympy
 from mpi4py import MPI
 from sympy import Expr
 
-from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families import integrals
 from tests.random.families.elements import Field
-from tests.random.families.family import Family, Judgement
+from tests.random.families.family import ClosedForm
 from tests.random.families.integrals import Nodes, Pieces, energy_error, intervals
-from tests.random.families.meshes import OWN, made
+from tests.random.families.meshes import made
 
 x, y = sympy.symbols("x y", real=True)
 COMPARED = (("{a} < {b}", "{a} >= {b}"), ("not {a} >= {b}", "not {a} < {b}"),
             ("sign({a} - {b}) < 0", "sign({a} - {b}) >= 0"), ("min({a}, {b}) < {b}", "max({a}, {b}) == {a}"),
             ("{b} - {a} > 0", "{b} <= {a}"))  # fmt: skip
 SIDES = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
-LONGEST, LONGEST_FLUX = 2000, 4000  # characters of a formula
 
 
 @dataclass(frozen=True)
@@ -149,36 +145,43 @@ def square(middle: tuple[float, float]) -> Expr:
 
 
 @dataclass(frozen=True)
-class Manufactured(Family):
-    """A scene whose u is a sum of piecewise expressions, given on the whole boundary unless `boundary` says otherwise.
+class Manufactured(ClosedForm):
+    """A scene in the plane or on a line whose u is a sum of piecewise expressions.
 
     Attributes:
-        mesh: The table [mesh], or what `meshes.made` takes.
-        options: Of `solve`.
         spelling: Number of a way to write conditions.
     """
 
-    mesh: dict[str, Any]
-    options: dict[str, Any]
     spelling: int
 
-    accuracy: ClassVar[float] = 1e-9  # of the true error, relative
+    longest_flux = 4000
 
-    @abstractmethod
+    def built(self, comm: MPI.Comm) -> Any:
+        return made(self.mesh, comm)
+
     def u(self) -> list[Piecewise]:
-        """Its sum is u; where `gradient` is given instead there are none."""
+        """Its sum is u, by default of the attribute `formula`; where `gradient` is given instead there are none."""
+        formula = getattr(self, "formula", None)
+        return [] if formula is None else [everywhere(expression(formula))]
 
-    @abstractmethod
-    def data(self) -> dict[str, Any]:
-        """What a scene has in addition to mesh and boundary."""
+    @property
+    def sign(self) -> int:
+        """-1 where all is upside down: a family that can be so has an attribute `upper`."""
+        return -1 if getattr(self, "upper", False) else 1
+
+    @property
+    def side(self) -> str:
+        """That of the obstacle."""
+        return "lower" if self.sign > 0 else "upper"
 
     def tension(self) -> Piecewise:
-        """As numbers or expressions."""
-        return everywhere(1)
+        """As numbers or expressions; the same everywhere where the family has an attribute `stiff`, or 1."""
+        return everywhere(expression(str(getattr(self, "stiff", 1))))
 
     def foundation(self) -> Piecewise | None:
-        """Its stiffness."""
-        return None
+        """Its stiffness, of the attribute `bed`, a formula."""
+        bed = getattr(self, "bed", "0")
+        return everywhere(expression(bed)) if bed != "0" else None
 
     def weight(self, px: np.ndarray) -> np.ndarray:
         """Of integrals at points: with axial symmetry the radius."""
@@ -188,16 +191,8 @@ class Manufactured(Family):
         """Where the gradient is infinite, or not continuous."""
         return []
 
-    def more(self, judgement: Judgement, answer: Answer) -> None:
-        """Check what else is known of an answer (collective)."""
-
     def value(self) -> str:
-        """u as the scene has it."""
         return " + ".join(part.text(self.spelling) for part in self.u())
-
-    def boundary(self) -> list[dict[str, Any]]:
-        """The parts of the boundary."""
-        return [{"value": self.value()}]
 
     def natural(self, side: str, spring: str = "", more: str = "") -> dict[str, Any]:
         """A side where the flux of u is given in place of u, with springs, and with more forces, as text."""
@@ -209,18 +204,6 @@ class Manufactured(Family):
         flux = " + ".join(part.text(self.spelling) for part in outward) + more
         return {"on": side, "flux": f"{flux} + {spring}*({self.value()})", "spring": spring} if spring else {
             "on": side, "flux": flux}  # fmt: skip
-
-    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-        """The scene (collective)."""
-        return Scene(mesh=made(self.mesh, comm), boundary=self.boundary(), **self.data())
-
-    def judge(self, judgement: Judgement) -> None:
-        answer = judgement.solve(lambda: self.scene(judgement.comm), **self.options)
-        if answer is None:
-            return
-        if {"bound", "tol"} & set(self.options):
-            judgement.certificate(answer, *self.error(Field(answer.u)), self.accuracy)
-        self.more(judgement, answer)
 
     def curves(self) -> list[Curve]:
         """Where expressions change."""
@@ -254,7 +237,6 @@ class Manufactured(Family):
         return self.weight(px) * self.tension().at(px, py)
 
     def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, from below, with the energy of the foundation but not of springs; the norm of u (collective)."""
         nodes, k = self.nodes(field), self.foundation()
         error, norm = energy_error(field, nodes, self.stiffness, self.gradient)
         if k is None:
@@ -263,15 +245,3 @@ class Manufactured(Family):
         off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - sum(part.at(px, py) for part in self.u())
         more = field.comm.allreduce(float(nodes.weights @ (self.weight(px) * k.at(px, py) * off**2)))
         return float(np.hypot(error, np.sqrt(more))), norm
-
-    @property
-    def short(self) -> bool:
-        """Whether all its formulas are short enough for a scene."""
-        return all(len(str(text)) < LONGEST for text in (self.value(), *self.data().values())) and all(
-            len(part.get("flux", "")) < LONGEST_FLUX for part in self.boundary()
-        )
-
-    def text(self) -> str:
-        if self.mesh["shape"] != OWN:
-            return super().text()
-        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.options}"

@@ -114,9 +114,6 @@ class Corner(Manufactured):
 
     name = "corner"
 
-    def tension(self) -> Piecewise:
-        return everywhere(self.stiff)
-
     def u(self) -> list[Piecewise]:
         """Cut where it does not reach the domain: the bisector is (-1, 1) of an L-shape and (1, 1) of a square."""
         across = -x - y if self.mesh["shape"] == "l-shape" else y - x

@@ -18,10 +18,8 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 from sympy import Expr
 
-from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families.elements import Field
-from tests.random.families.family import Family, Judgement, toml
-from tests.random.families.manufactured import LONGEST
+from tests.random.families.family import ClosedForm
 from tests.random.families.solid_meshes import inscribed_ball, solid, solids
 
 AXES = sympy.symbols("x y z", real=True)
@@ -37,12 +35,10 @@ GAUSS = 4  # points in each direction
 
 
 @dataclass(frozen=True)
-class Solid(Family):
+class Solid(ClosedForm):
     """A scene in space whose u is known.
 
     Attributes:
-        mesh: The table [mesh] of a box, or what `solid` takes.
-        options: Of `solve`.
         kind: In `KINDS`.
         normal: Of the plane, or the axis of the cylinder; of length 1.
         middle: A point of the plane or axis, or the centre.
@@ -60,8 +56,6 @@ class Solid(Family):
         spring: Its stiffness, times scale.
     """
 
-    mesh: dict[str, Any]
-    options: dict[str, Any]
     kind: str
     normal: tuple[float, float, float]
     middle: tuple[float, float, float]
@@ -78,6 +72,9 @@ class Solid(Family):
     spring: float
 
     name = "tetrahedra"
+
+    def built(self, comm: MPI.Comm) -> Any:
+        return solid(self.mesh, comm)
 
     def _squares(self) -> tuple[Expr, Expr]:
         """The distance along the normal, and the squared distance from the middle."""
@@ -136,11 +133,9 @@ class Solid(Family):
         return self.inside * outside, outside
 
     def value(self) -> str:
-        """u as the scene has it."""
         return self._either(*(self._sign * u for u in self._sides()))
 
     def data(self) -> dict[str, Any]:
-        """What a scene has in addition to mesh and boundary values."""
         k, psi, loads = self.scale * self.foundation, _formula(self.obstacle), []
         for u, tension in zip(self._sides(), self._tensions(), strict=True):
             if self.kind in ("ball", "tube") and u != psi:  # w has the Laplacian 1
@@ -159,8 +154,7 @@ class Solid(Family):
         return data | ({"foundation": repr(k)} if k > 0 else {})
 
     def boundary(self) -> list[dict[str, Any]]:
-        """The parts of the boundary."""
-        whole = {"value": self.value()}
+        (whole,) = super().boundary()
         if not self.end:
             return [whole]
         if self.end == "layered":
@@ -173,26 +167,8 @@ class Solid(Family):
         k = self.spring * self.scale
         return [{"on": sides, **whole}, {"on": "right", "flux": f"{flux} + {k!r}*({self.value()})", "spring": repr(k)}]
 
-    @property
-    def short(self) -> bool:
-        """Whether all its formulas are short enough for a scene."""
-        texts = [*self.data().values(), *(part.get("flux", "") for part in self.boundary()), self.value()]
-        return all(len(text) < LONGEST for text in texts)
-
-    def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-        """The scene (collective)."""
-        return Scene(mesh=solid(self.mesh, comm), boundary=self.boundary(), **self.data())
-
-    def judge(self, judgement: Judgement) -> None:
-        answer = judgement.solve(lambda: self.scene(judgement.comm), **self.options)
-        if answer is not None:
-            judgement.certificate(answer, *self.error(Field(answer.u)))
-
     def error(self, field: Field) -> tuple[float, float]:
-        """Of a field, from below, with the energy of the foundation but not of the spring; the norm of u (collective).
-
-        Cells that the surface crosses are divided again and again; the last pieces that it crosses are omitted.
-        """
+        """Cells that the surface crosses are divided again and again; the last pieces that it crosses are omitted."""
         cells, corners = np.arange(len(field.vertices)), field.vertices
         found = np.zeros(2)
         integrands = []
@@ -225,12 +201,6 @@ class Solid(Family):
         off = field.at(cells, middle) + ((at - middle) * gradient).sum(axis=2) - self._sign * value
         density = tension * ((gradient - true) ** 2).sum(axis=2) + k * off**2
         return np.array([volumes @ (one @ weights) for one in (density, tension * (true**2).sum(axis=2))])
-
-    def text(self) -> str:
-        asked = f"solve(scene, {self.options})"
-        if self.mesh["shape"] == "box":
-            return toml(self.scene(), asked)
-        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {asked}"
 
 
 def _formula(text: str) -> Expr:

@@ -21,7 +21,6 @@ from tests.random.families.manufactured import (
     Piecewise,
     Side,
     distance,
-    everywhere,
     expression,
     line_at,
     load_of,
@@ -118,18 +117,12 @@ class Touching(Manufactured):
             return w.map(lambda _: psi - radius), f"{psi} - {radius}"
         return w.map(lambda _: psi), str(psi)
 
-    def _turned(self, value: Any) -> Any:
-        return -value if self.upper else value
-
-    def tension(self) -> Piecewise:
-        return everywhere(expression(self.stiff))
-
     def forces(self, u: Piecewise) -> Piecewise:
         """The load that a function in the parts of w is in balance with."""
         return u.map(load_of, self.tension())
 
     def u(self) -> list[Piecewise]:
-        return [self._psi()[0].map(lambda psi, w: self._turned(psi + w), self.above()[0])]
+        return [self._psi()[0].map(lambda psi, w: self.sign * (psi + w), self.above()[0])]
 
     def poles(self) -> list[tuple[float, float]]:
         return [self.angles] if self.kind == "cone" else []
@@ -158,7 +151,7 @@ class Touching(Manufactured):
         over = f"{text} + {self.size!r}"
         if self.kind == "two":
             load += f" + where({distance(self._line)} >= {self.width!r}, {self.pressure}, 0)"
-        near, other = ("upper", "lower") if self.upper else ("lower", "upper")
+        near, other = self.side, "lower" if self.upper else "upper"
         lower = f"{text} - ({by})" if by != "0" else text
         minus = "-" if self.upper else ""
         found = {"tension": self.stiff, "load": f"{minus}({load})", near: f"{minus}({lower})"}

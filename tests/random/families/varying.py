@@ -42,9 +42,6 @@ class Varying(Manufactured):
 
     name = "smooth tension"
 
-    def u(self) -> list[Piecewise]:
-        return [everywhere(expression(self.formula))]
-
     def tension(self) -> Piecewise:
         return everywhere(self.scale * expression(self.stiff))
 
