@@ -69,3 +69,11 @@ def over_ranks(index_map: Any, comm: MPI.Comm, values: np.ndarray, how: PETSc.In
         found = local.array_r.copy()
     vector.destroy()
     return found
+
+
+def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
+    """Values at local dofs from those at owned ones (collective)."""
+    function = fem.Function(V)
+    function.x.array[: len(owned)] = owned
+    function.x.scatter_forward()
+    return function.x.array

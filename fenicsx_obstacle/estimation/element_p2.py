@@ -13,12 +13,13 @@ from functools import reduce
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.estimation.around_nodes import with_ghosts
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.lattice_obstacle import LatticeObstacle
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, reference_fields
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.triangle_lattice import MEANS, NODES, POINTS, PRODUCTS, SLOPES, SMALL
 
 

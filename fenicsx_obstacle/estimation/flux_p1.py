@@ -22,6 +22,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.estimation.around_nodes import with_ghosts
 from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
 from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, boundary_obstacles
 from fenicsx_obstacle.estimation.cell_data import (
@@ -37,7 +38,7 @@ from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
 
 STIFF = 5.0  # k |T|^(2/d)/tension, from which forces are averaged around vertices

@@ -19,14 +19,14 @@ import numpy as np
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
-from fenicsx_obstacle.estimation.around_nodes import AroundNodes
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes, with_ghosts
 from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
 from fenicsx_obstacle.estimation.multipliers import Multipliers, pushes
 from fenicsx_obstacle.estimation.patch_systems import PatchSystems
 from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
-from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class EquilibrationP2:
         R = K - inside  # int div sigma^a psi_j
         pulls = self._pulls(u, gradient, K, R, drops)
         drops, *pulls = patches.gather(drops, *pulls)
-        fluxes = patches.walk(drops)
+        fluxes = patches.trees.walk(drops)
         before, after = -fluxes[:, 1], fluxes[:, 0]
         round_, entering, leaving = self._systems.solve(-np.array(pulls) - self._of_first * before)
         parts = patches.scatter(before + round_, after + round_, entering, leaving)

@@ -25,6 +25,7 @@ class Patches:
     """The corners of all owned vertices, in arrays ordered by depth in the trees of the patches.
 
     Attributes:
+        trees: Along which fluxes in balance are found, with values in the order of `gather`.
         free_boundary: Whether a facet with the vertex is on the boundary and u is not given on it, shape (corners, d).
         patch: The patch of each corner.
         vertex: Owned dof of each patch.
@@ -49,10 +50,10 @@ class Patches:
             self._sent = np.bincount(owner, minlength=self.comm.size)
             self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
         sides = self._sides(simplices)
-        self._trees = PatchTrees(sides, data.level.owned)
-        self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
+        self.trees = trees = PatchTrees(sides, data.level.owned)
+        self._order, self.patch, self.vertex = trees.order, trees.patch, trees.vertex
         self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
-        closed, patches_at = self._trees.closed, np.bincount(self.vertex, minlength=data.level.owned)
+        closed, patches_at = trees.closed, np.bincount(self.vertex, minlength=data.level.owned)
         self.apart = total(self.comm, np.count_nonzero((patches_at[closed] > 1) | simplices.given[closed])) > 0
 
     def gather(self, *values: np.ndarray) -> np.ndarray:
@@ -111,20 +112,9 @@ class Patches:
         vertex, *keys = self._to_owners(self._number, *keys)
         key = np.stack(keys, axis=1).ravel()
         is_held = key % 2 > 0
-        beside = _pairs(*dense(key // 2, dim * index_map.size_global))
+        beside = pairs(*dense(key // 2, dim * index_map.size_global))
         shape = len(vertex), dim
         return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
-
-    def walk(self, drops: np.ndarray) -> np.ndarray:
-        """Fluxes out of the corners through their facets with sums of -drops in each, along the trees (local).
-
-        Args:
-            drops: At the corners.
-
-        Returns:
-            Shape (corners, d), the same number with opposite signs on both sides of a facet.
-        """
-        return self._trees.walk(drops)
 
     def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
         """The facets of each patch (collective).
@@ -181,7 +171,7 @@ def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
     return numbers[keys] - 1, int(numbers[-1]) if limit else 0
 
 
-def _pairs(keys: np.ndarray, count: int) -> np.ndarray:
+def pairs(keys: np.ndarray, count: int) -> np.ndarray:
     """Of each of the numbers below `count` the place where the same one stands once more, -1 if it does not."""
     every = np.arange(1, len(keys) + 1)
     places = np.bincount(keys, every, count).astype(np.int64)  # the sum of both

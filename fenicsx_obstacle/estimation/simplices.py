@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.data.data import Data
@@ -218,11 +217,3 @@ def lattice(parts: int) -> np.ndarray:
     """Barycentric coordinates of the points that divide the edges and the inside evenly, shape (n, 3)."""
     steps = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
     return np.array(steps) / parts
-
-
-def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
-    """Values at local dofs from those at owned ones (collective)."""
-    function = fem.Function(V)
-    function.x.array[: len(owned)] = owned
-    function.x.scatter_forward()
-    return function.x.array
