@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -73,7 +73,7 @@ class CellDatum:
 class Hypotheses:
     """The hypotheses of the bound for the data on one mesh, checked without sampling."""
 
-    def __init__(self, simplices: Simplices, known: Iterable[CellDatum], dirichlet: BoundaryValues):
+    def __init__(self, simplices: Simplices, known: Iterable[CellDatum], dirichlet: BoundaryData):
         """Look at the parts of the boundary (collective).
 
         Args:

@@ -11,7 +11,6 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects, proved
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
@@ -107,8 +106,7 @@ class Element(ABC):
         """
         self.equilibration, self.simplices = equilibration, equilibration.simplices
         self.tension = tension_in_cells(equilibration)
-        ends = self.simplices.dim == 1
-        self.dirichlet = BoundaryValues(self.simplices) if ends else BoundaryData(self.simplices, middles)
+        self.dirichlet = BoundaryData(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         equilibration.load.forget_polynomials()

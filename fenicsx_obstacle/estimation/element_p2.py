@@ -14,7 +14,6 @@ import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.around_nodes import with_ghosts
-from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.lattice_obstacle import LatticeObstacle
@@ -27,7 +26,6 @@ class ElementP2(Element):
     """P2 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP2
-    dirichlet: BoundaryData
     obstacles: list[LatticeObstacle]
     has_samples = True
 

@@ -102,8 +102,6 @@ class LatticeObstacle(CoveredObstacle):
     triangles with points where u is given: nothing is added there.
     """
 
-    dirichlet: BoundaryData
-
     def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Range):
         """Store the obstacle and its bounds (collective); the arguments are those of `CoveredObstacle`."""
         super().__init__(simplices, dirichlet, sign, field, known)
