@@ -84,14 +84,7 @@ class _ClippedCells(Enclosed):
     corners: np.ndarray
 
     def once(self) -> Bounds:
-        return self._cut_off(self.known.once())
-
-    def by_intervals(self) -> tuple[Bounds, np.ndarray]:
-        bounds, blurred = self.known.by_intervals()
-        found = self._cut_off(bounds)
-        return found, blurred & ~found.beyond
-
-    def _cut_off(self, bounds: Bounds) -> _ClippedBounds:
+        bounds = self.known.once()
         limit = self.by.limit
         near, far = (bounds.lower, bounds.upper) if self.by.sign > 0 else (bounds.upper, bounds.lower)
         beyond = self.by.sign * (far - limit) <= 0  # all of it is cut off

@@ -84,13 +84,15 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
     last = max(DEEPEST, division.depth)
     for split in range(last + 1):
         wanted, count = [], 0
-        for some, near in _looks(here, names, parts, division, continuous=datum.continuous):
+        for block in blocks(len(parts.rows)):
+            some = parts[block]
+            near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=datum.continuous)
             found.sampled |= near.sampled
-            open_ = near.settled & near.open(division, some)
+            open_ = near.open(division, some)
             found.rough[some.rows[open_]] = True
             large = (some.share > division.share) | near.whole
             divided = open_ & ((~near.finite & (split < DEEPEST)) | (large & (split < division.depth)))
-            found.take(some, near, near.settled & ~divided)
+            found.take(some, near, ~divided)
             if divided.any():
                 wanted.append((some, near, divided))
                 count += parts.times * np.count_nonzero(divided)
@@ -118,23 +120,6 @@ def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray,
     )  # fmt: skip
 
 
-def _looks(
-    here: Field, names: Names, parts: Parts, division: Division, *, continuous: bool
-) -> Iterator[tuple[Parts, _Near]]:
-    """Parts and what is near a datum there: of many of them first by intervals alone, then again, of all together, of
-    those where that does not settle it."""
-    many, blurred = len(parts.rows) > AT_ONCE, []
-    for block in blocks(len(parts.rows)):
-        some = parts[block]
-        near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous, first=many)
-        blurred.append(block.start + np.flatnonzero(~near.settled))
-        yield some, near
-    unsettled = np.concatenate(blurred)
-    for block in blocks(len(unsettled)):
-        some = parts[unsettled[block]]
-        yield some, _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous)
-
-
 def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
     """A datum on simplices; samples of it where no bounds are known."""
     return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
@@ -148,16 +133,10 @@ def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -
         number = np.full(len(cells), here.at(np.zeros((3, 1)), names)[0])
         return Range(number, number, sampled=False)
     lower, upper, sampled = np.empty(len(cells)), np.empty(len(cells)), False
-    blurred = np.zeros(len(cells), dtype=bool)
     for block in blocks(len(cells)):
         known = _enclosed(here, names, corners[block], cells[block])
         sampled |= isinstance(known, _Samples)
-        bounds, blurred[block] = known.by_intervals()
-        lower[block], upper[block] = _defined(bounds)
-    unsettled = np.flatnonzero(blurred)
-    for block in blocks(len(unsettled)):
-        rows = unsettled[block]
-        lower[rows], upper[rows] = _defined(_enclosed(here, names, corners[rows], cells[rows]).once())
+        lower[block], upper[block] = _defined(known.once())
     infinite = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper)))
     divided = pieces_of(data, datum, corners[infinite], cells[infinite], Division(0))
     lower[infinite], upper[infinite] = divided.lower, divided.upper
@@ -225,7 +204,6 @@ class _Near:
 
     Attributes:
         sampled: Whether this comes from samples.
-        settled: Whether a second look would find the same.
         lower: Lower bound, infinite where none is known.
         upper: Upper bound.
         finite: Whether both are finite.
@@ -234,7 +212,7 @@ class _Near:
         steep: As in `Group`.
     """
 
-    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool, first: bool = False):
+    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool):
         """Look for polynomials.
 
         Args:
@@ -242,11 +220,9 @@ class _Near:
             parts: Where.
             division: Says which interpolants are good enough.
             continuous: Whether it is, for sure.
-            first: Whether bounds are found by intervals alone.
         """
         self._known, self._corners, self.sampled = known, parts.x.shape[1], isinstance(known, _Samples)
-        bounds, blurred = known.by_intervals() if first else (known.once(), np.zeros(len(parts.rows), dtype=bool))
-        self.settled = ~blurred
+        bounds = known.once()
         within = replace(
             bounds, lower=np.maximum(bounds.lower, parts.least), upper=np.minimum(bounds.upper, parts.most)
         )
@@ -254,16 +230,16 @@ class _Near:
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
-        constant = self.finite & self.settled & (self.upper == self.lower) & (not self.sampled)
+        constant = self.finite & (self.upper == self.lower) & (not self.sampled)
         self.rest, self.steep = self._half(), np.where(constant, 0.0, np.inf)
-        smooth = bounds.whole & self.finite & self.settled
+        smooth = bounds.whole & self.finite
         exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
         for degree in np.unique(bounds.degree[exact]):
             rows = np.flatnonzero(exact & (bounds.degree == degree))
             self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
         if (smooth & ~exact).any():
             self._smooth(np.flatnonzero(smooth & ~exact), bounds, parts.x, division)
-        others = self.finite & self.settled & ~exact & (self.upper > self.lower)
+        others = self.finite & ~exact & (self.upper > self.lower)
         for _, chosen, _ in self._found:
             others[chosen] = False
         cut = np.flatnonzero(others)

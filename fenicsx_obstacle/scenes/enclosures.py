@@ -33,13 +33,7 @@ class OnCells(Enclosed):
         return self._walk()
 
     def once(self) -> Enclosure:
-        return self._enclosed(self._kept if self.cells.kept else self._walk())
-
-    def by_intervals(self) -> tuple[Enclosure, np.ndarray]:
-        walk = TreeWalk(self.cells)
-        return self._enclosed(walk), walk.blurred
-
-    def _enclosed(self, walk: TreeWalk) -> Enclosure:
+        walk = self._kept if self.cells.kept else self._walk()
         with np.errstate(all="ignore"):
             found = walk.number(self.formula, self.formula.tree)
         lower, upper, degree, whole, defined = (np.broadcast_to(part, self.cells.count) for part in found.parts)

@@ -87,7 +87,6 @@ class TreeWalk:
     """One evaluation of a formula and of the definitions it uses.
 
     Attributes:
-        blurred: Where bounds would be sharper with `nearest`.
         undecided: Numbers whose sign was asked for, and the cells where it is not decided although no condition changes
             in them.
     """
@@ -102,7 +101,6 @@ class TreeWalk:
                 arithmetic is done where that does not tell the sign of a number.
         """
         self.cells, self.known, self._nearest = cells, dict[str, Enclosure](), nearest
-        self.blurred = np.zeros(cells.count, dtype=bool)
         self.undecided: list[tuple[Formula, np.ndarray]] = []
         self._nodes: dict[int, tuple[ast.expr, Enclosure]] = {}
         self._truths: dict[int, tuple[ast.expr, Truth]] = {}
@@ -361,12 +359,8 @@ class TreeWalk:
     ) -> np.ndarray:
         """Cells where the sign of a node is to be looked for, since its bounds do not tell it."""
         found = np.flatnonzero((low <= 0) & (high >= 0) & (low < high) & whole)
-        if not len(found) or not self._can_sample(formula, node):
-            return found[:0]
-        if self._nearest is None:
-            self.blurred[found] = True
-            return found[:0]
-        return found
+        known = self._nearest is not None and len(found) > 0 and self._can_sample(formula, node)
+        return found if known else found[:0]
 
     def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
         needs = self.cells.vocabulary.needs
