@@ -21,7 +21,7 @@ from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.matrix_tension import MatrixTension
 from fenicsx_obstacle.estimation.oscillation import Oscillation
-from fenicsx_obstacle.estimation.pieces import Range
+from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
@@ -126,7 +126,7 @@ class Element(ABC):
         """The constant, infinite where none is known (collective)."""
         return self.held.friedrichs() / sqrt(smallest(self.simplices.data.level.comm, self.tension.least))
 
-    def _range(self, obstacle: Field) -> Range:
+    def _range(self, obstacle: Field) -> Pieces:
         """Bounds of an obstacle in the cells."""
         simplices = self.simplices
         return range_of(simplices.data, obstacle, simplices.x, np.arange(len(simplices.area)))
@@ -165,14 +165,14 @@ class Element(ABC):
         return limits[1], limits[-1]
 
     @property
-    def given_obstacles(self) -> list[tuple[float, Field, Range]]:
+    def given_obstacles(self) -> list[tuple[float, Field, Pieces]]:
         """The obstacles as `obstacles_of` has them, cut off beyond the reach of u, and their bounds in the cells."""
-        found: list[tuple[float, Field, Range]] = []
+        found: list[tuple[float, Field, Pieces]] = []
         for sign, obstacle in obstacles_of(self.simplices.data):
             limit, known = self.reach[0] if sign > 0 else self.reach[1], self._ranges[sign]
             if np.isfinite(limit):
                 cut = Clipped(obstacle, sign, limit)
-                found.append((sign, cut, Range(cut.clip(known.lower), cut.clip(known.upper), known.sampled)))
+                found.append((sign, cut, Pieces([], cut.clip(known.lower), cut.clip(known.upper), known.sampled)))
             else:
                 found.append((sign, obstacle, known))
         return found

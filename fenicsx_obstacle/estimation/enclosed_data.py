@@ -19,7 +19,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.pieces import Group, Pieces, Range
+from fenicsx_obstacle.estimation.pieces import Group, Pieces
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
 from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges, sizes
 
@@ -125,13 +125,13 @@ def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray)
     return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
 
 
-def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Range:
+def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Pieces:
     """Bounds of a datum (collective where it is the first to need the distance); the arguments are those of
     `pieces_of`. Simplices without finite bounds are divided."""
     here, names = data.here(datum), data.names(datum)
     if datum.uniform:
         number = np.full(len(cells), here.at(np.zeros((3, 1)), names)[0])
-        return Range(number, number, sampled=False)
+        return Pieces([], number, number, sampled=False)
     lower, upper, sampled = np.empty(len(cells)), np.empty(len(cells)), False
     for block in blocks(len(cells)):
         known = _enclosed(here, names, corners[block], cells[block])
@@ -140,7 +140,7 @@ def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -
     infinite = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper)))
     divided = pieces_of(data, datum, corners[infinite], cells[infinite], Division(0))
     lower[infinite], upper[infinite] = divided.lower, divided.upper
-    return Range(lower, upper, sampled)
+    return Pieces([], lower, upper, sampled)
 
 
 def _defined(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:

@@ -120,9 +120,8 @@ class MatrixTension(Tension):
 
     def known(self) -> CellDatum:
         """See `Tension.known`."""
-        none = np.zeros(len(self.least), dtype=bool)
-        wrong = self._unknown if self._symmetric else ~none
-        pieces = Pieces([], np.where(wrong, 0.0, self.least), self.most, self._sampled, none)
+        least = np.where(self._unknown, 0.0, self.least) if self._symmetric else np.zeros(len(self.least))
+        pieces = Pieces([], least, self.most, self._sampled)
         what = "may be infinite, undefined or not positive definite" if self._symmetric else (
             "is not known to be symmetric, as two entries are written differently,")  # fmt: skip
         return CellDatum("tension", pieces, f"tension {what}", least=0.0)

@@ -183,18 +183,18 @@ class Pieces:
     """A datum on simplices.
 
     Attributes:
-        groups: The parts of all simplices.
+        groups: The parts of all simplices; empty where what it is between is enough, which costs little.
         lower: Lower bound over each simplex; infinite where none is known.
         upper: Upper bound.
         sampled: Whether all this comes from samples.
-        rough: Whether a simplex has parts that further division makes smoother.
+        rough: Whether a simplex has parts that further division makes smoother; empty without groups.
     """
 
     groups: list[Group]
     lower: np.ndarray
     upper: np.ndarray
     sampled: bool
-    rough: np.ndarray
+    rough: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     @property
     def finite(self) -> np.ndarray:
@@ -281,21 +281,6 @@ class Pieces:
             least = np.where(known, above - group.known_rest * weight, unknown[group.rows] * weight)
             group.add_to(found, group.share * least)
         return found if radius is None else found * reciprocals(radius.mean(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class Range:
-    """What a datum is between on simplices: no polynomials, so that it costs little.
-
-    Attributes:
-        lower: Lower bound over each simplex; infinite where none is known.
-        upper: Upper bound.
-        sampled: Whether all this comes from samples.
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
-    sampled: bool
 
 
 def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:

@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.effects.field import Bounds
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds
 from fenicsx_obstacle.scenes import derivative_bounds
 from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes, has_nan
 
-NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 MOST = 2.0**50  # of integers whose quotients are rounded across no integer
 _ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
 _TINY = 1e-300
@@ -31,9 +30,6 @@ class Enclosure(Bounds):
     """Bounds of a value over cells.
 
     Attributes:
-        lower: Lower bound.
-        upper: Upper bound.
-        degree: As a polynomial on the cell where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether one expression without conditions gives it on the whole cell.
         defined: Whether no root or logarithm of a negative number can occur, nor a comparison with one.
         slopes: Bounds of its derivatives; where it is not `whole` the first alone holds, on both sides of what may be a
@@ -41,11 +37,6 @@ class Enclosure(Bounds):
         square: Of a root, what it is the root of.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    degree: np.ndarray
-    whole: np.ndarray
-    defined: np.ndarray
     slopes: Slopes = field(default=NONE, repr=False)
     square: Enclosure | None = None
 
@@ -62,11 +53,6 @@ class Enclosure(Bounds):
     def is_number(self) -> bool:
         """Whether it is one number, the same everywhere."""
         return self.lower.ndim == 0 and bool(self.lower == self.upper)
-
-    @property
-    def finite(self) -> np.ndarray:
-        """Whether finite bounds are known and the value is defined."""
-        return np.isfinite(self.lower) & np.isfinite(self.upper) & self.defined
 
     def cut(self, where: np.ndarray) -> Enclosure:
         """The same enclosure, marked as cut by a condition on some cells."""

@@ -19,10 +19,10 @@ from operator import and_
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Truth
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Truth
 from fenicsx_obstacle.scenes import derivative_bounds, intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
-from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
+from fenicsx_obstacle.scenes.intervals import Enclosure
 from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS, COORDINATES, Vocabulary
 
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
