@@ -161,7 +161,7 @@ class Estimator:
             return sqrt(max(total(comm, squares), 0.0))
 
         unbalanced, algebraic = (self._friedrichs * norm(rest) for rest in (terms.rest, terms.solver_rest))
-        lacking = np.zeros(len(terms.rest)) if terms.lacking is None else self._friedrichs**2 * terms.lacking
+        lacking = self._friedrichs**2 * terms.lacking
         unbalanced += self._load_rest + norm(lacking)
         eta_g, eta_p, eta_C = norm(self._rim_energy), norm(terms.cover), max(total(comm, terms.contact), 0.0)
         moved = norm(terms.moved)

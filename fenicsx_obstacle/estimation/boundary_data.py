@@ -39,6 +39,7 @@ from fenicsx_obstacle.estimation.boundary_values import (
 )
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
+from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.shared_edges import SharedEdges
@@ -198,29 +199,29 @@ class BoundaryData:
             part: The facets.
             enough: A bound of the slope that need not be improved, on each facet.
         """
-        dim, count = self._dim, len(part.cells)
-        owner, inside, found = np.arange(count), np.broadcast_to(np.eye(dim), (count, dim, dim)), []
-        lower, upper, share, times = [], [], 1.0, 2 ** (dim - 1)
+        dim, parts = self._dim, Parts.whole(part.x, part.cells)
+        lower, upper, found = [], [], []
         for split in range(HALVED[dim] + 1):
-            last = split == HALVED[dim] or times * len(owner) > MAX_PARTS
+            last = split == HALVED[dim] or parts.times * len(parts.rows) > MAX_PARTS
             division = replace(DIVISION[dim], depth=max(DIVISION[dim].depth - split, MIN_DEPTH))
-            pieces = pieces_of(self.simplices.data, part.value, inside @ part.x[owner], part.cells[owner], division)
+            pieces = pieces_of(self.simplices.data, part.value, parts.x, parts.cells, division)
             self._samples += int(pieces.sampled)
             lower.append(pieces.lower)
             upper.append(pieces.upper)
             if not pieces.finite.all():
-                self.unbounded = np.pad(part.x[owner[np.argmin(pieces.finite)]].mean(axis=0), (0, 3 - dim))
+                self.unbounded = np.pad(part.x[parts.rows[np.argmin(pieces.finite)]].mean(axis=0), (0, 3 - dim))
             groups = [self._between_samples(part, group) for group in pieces.groups]
-            far = np.zeros(len(owner), dtype=bool)
+            far = np.zeros(len(parts.rows), dtype=bool)
             for group in groups:
-                far[group.rows[group.steep > enough[owner[group.rows]]]] = not last
+                far[group.rows[group.steep > enough[parts.rows[group.rows]]]] = not last
             for group in groups:
                 kept = group[np.flatnonzero(~far[group.rows])]
-                corners = inside[kept.rows] if kept.corners is None else kept.corners @ inside[kept.rows]
-                found.append(replace(kept, rows=owner[kept.rows], corners=corners, share=share * kept.share))
+                of = parts[kept.rows]
+                corners = of.places if kept.corners is None else kept.corners @ of.places
+                found.append(replace(kept, rows=of.rows, corners=corners, share=of.share * kept.share))
             if not far.any():
                 break
-            owner, inside, share = np.repeat(owner[far], times), polynomials.halved(inside[far]), share / times
+            parts = parts[far].halved()
         return found, np.concatenate(lower), np.concatenate(upper)
 
     def _between_samples(self, part: Facets, known: Group) -> Group:

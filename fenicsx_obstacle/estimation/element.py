@@ -53,8 +53,7 @@ class Terms:
         energy: ||mu^(1/2) grad u_h||_T^2.
         admissible: v_h at local dofs.
         crossing: By how much obstacles cross each other, or what is given, between the nodes.
-        lacking: As `rest`, of what foundations, fluxes and springs are beyond what the solver makes of them; None: of
-            nothing.
+        lacking: As `rest`, of what foundations, fluxes and springs are beyond what the solver makes of them.
     """
 
     flux: FluxP1 | FluxP2
@@ -72,7 +71,7 @@ class Terms:
     energy: np.ndarray
     admissible: np.ndarray = field(repr=False)
     crossing: float
-    lacking: np.ndarray | None = None
+    lacking: np.ndarray
 
 
 class Element(ABC):

@@ -67,6 +67,7 @@ class ElementP2(Element):
             oscillation=oscillation, contact=contact,
             moved=moved, cover=self.tension.most * cover, raised=none, penetration=self._energy(self._penetration()),
             rest=rest, solver_rest=rest, energy=self._least_energy(u), admissible=v, crossing=crossing,
+            lacking=none,
         )  # fmt: skip
 
     def _gap(self, u: np.ndarray, side: LatticeObstacle) -> np.ndarray:

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import reduce
 from math import factorial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -74,7 +73,7 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
         division: When simplices are divided.
     """
     here, names = data.here(datum), data.names(datum)
-    found = _Collected(len(corners), corners.shape[1])
+    found = _Collected(len(corners))
     if datum.uniform:
         found.number(here.at(np.zeros((3, 1)), names)[0])
         return found.pieces()
@@ -104,7 +103,8 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             break
         if not wanted:
             break
-        parts = reduce(Parts.with_, (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted))
+        first, *others = (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted)
+        parts = first.and_(*others)
     return found.pieces()
 
 
@@ -151,52 +151,45 @@ def _defined(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
 class _Collected:
     """Parts found so far."""
 
-    def __init__(self, count: int, corners: int):
-        self.count, self.corners, self.sampled = count, corners, False
+    def __init__(self, count: int):
+        self.count, self.sampled = count, False
         self.rough = np.zeros(count, dtype=bool)
-        self._found: dict[tuple[int, bool, bool], list[tuple[Any, ...]]] = {}
+        self._found: dict[tuple[int, bool, bool], list[Group]] = {}
 
     def number(self, value: float) -> None:
         """The same on all simplices."""
-        same, none = np.full(self.count, value), np.zeros(self.count)
-        all_of_it = np.ones(self.count)
-        self._found[0, True, True] = [(np.arange(self.count), None, all_of_it, same[:, None], none, same, same, none)]
+        same, none, rows = np.full(self.count, value), np.zeros(self.count), np.arange(self.count)
+        group = Group(rows, None, np.ones(self.count), 0, same[:, None], none, same, same, none, smooth=True)
+        self._found[0, True, True] = [group]
 
     def take(self, parts: Parts, near: _Near, wanted: np.ndarray) -> None:
         """What is near the datum on some of the parts."""
         for degree, smooth, chosen, coefficients in near.polynomials(wanted):
             if len(chosen):
                 inside = None if parts.inside is None else parts.inside[chosen]
-                self._found.setdefault((degree, smooth, inside is None), []).append((
-                    parts.rows[chosen], inside, parts.share[chosen], coefficients, near.rest[chosen],
-                    near.lower[chosen], near.upper[chosen], near.steep[chosen],
-                ))  # fmt: skip
+                group = Group(
+                    parts.rows[chosen], inside, parts.share[chosen], degree, coefficients, near.rest[chosen],
+                    near.lower[chosen], near.upper[chosen], near.steep[chosen], smooth,
+                )  # fmt: skip
+                self._found.setdefault((degree, smooth, inside is None), []).append(group)
 
     def pieces(self) -> Pieces:
         """All of it."""
-        lower, upper, groups = np.full(self.count, np.inf), np.full(self.count, -np.inf), []
-        for (degree, smooth, whole), parts in self._found.items():
-            for some in _together(parts):
-                rows, corners, share, coefficients, rest, low, high, steep = some
-                group = Group(
-                    rows, None if whole else corners, share, degree, coefficients, rest, low, high, steep, smooth
-                )
-                group.lower_to(lower, group.lower)
-                group.raise_to(upper, group.upper)
-                groups.append(group)
+        lower, upper = np.full(self.count, np.inf), np.full(self.count, -np.inf)
+        groups = [group for found in self._found.values() for group in _together(found)]
+        for group in groups:
+            group.lower_to(lower, group.lower)
+            group.raise_to(upper, group.upper)
         return Pieces(groups, lower, upper, self.sampled, self.rough)
 
 
-def _together(found: list[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Arrays of parts joined to arrays of `AT_ONCE` parts at most; larger ones stay as they are, without a copy."""
+def _together(found: list[Group]) -> Iterator[Group]:
+    """Parts joined to groups of `AT_ONCE` parts at most; larger ones stay as they are, without a copy."""
     while found:
-        sizes_ = np.cumsum([len(parts[0]) for parts in found])
+        sizes_ = np.cumsum([len(group.rows) for group in found])
         count = max(int(np.searchsorted(sizes_, AT_ONCE, "right")), 1)
-        some, found = found[:count], found[count:]
-        if count == 1:
-            yield some[0]
-        else:
-            yield tuple(None if arrays[0] is None else np.concatenate(arrays) for arrays in zip(*some, strict=True))
+        (first, *others), found = found[:count], found[count:]
+        yield first.and_(*others) if others else first
 
 
 class _Near:
@@ -332,7 +325,7 @@ class _Near:
         levels = APART * rest
         line = levels < NARROW * np.ptp(values, axis=1)
         levels = np.where(levels <= EXACT * polynomials.row_size(values), 0.0, levels)
-        return within[line].cut(values[line], levels[line]).with_(within[~line].halved())
+        return within[line].cut(values[line], levels[line]).and_(within[~line].halved())
 
     def polynomials(self, wanted: np.ndarray) -> Iterator[tuple[int, bool, np.ndarray, np.ndarray]]:
         """Degree, whether they are interpolants, parts and coefficients, of those that are wanted."""

@@ -99,8 +99,8 @@ class PatchFlux:
     def _weigh(self, simplices: Simplices) -> np.ndarray:
         """int mu^(-1) tau_i . tau_j of the fluxes tau_i that flow 1 out opposite to vertex i, up to one number in each
         cell, shape (d + 1, d + 1, cells) (local)."""
-        y, count = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0), len(self._others)
-        y = [np.ascontiguousarray(y[:, :, k]) for k in range(count)]
+        from_middle, count = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0), len(self._others)
+        y = [np.ascontiguousarray(from_middle[:, :, k]) for k in range(count)]
         found = np.empty((count, count, len(simplices.area)))
         for i in range(count):
             weighted = self._weighted(y[i]) / (simplices.dim**2 * simplices.area)

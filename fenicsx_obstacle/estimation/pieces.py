@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.estimation.parts import Arrays
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.simplex_geometry import inward, least_heights, sizes
@@ -23,7 +24,7 @@ LOWEST = -1e300  # where no lower bound is known
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class Group(Arrays):
     """Parts of simplices on which a datum is near polynomials of one degree.
 
     Attributes:
@@ -168,14 +169,6 @@ class Group:
         """The parts in portions that fit into memory."""
         for block in blocks(len(self.rows)):
             yield self[block]
-
-    def __getitem__(self, chosen: np.ndarray | slice) -> Group:
-        """Some of the parts."""
-        return Group(
-            self.rows[chosen], None if self.corners is None else self.corners[chosen], self.share[chosen], self.degree,
-            self.coefficients[chosen], self.rest[chosen], self.lower[chosen], self.upper[chosen],
-            self.steep[chosen], self.smooth,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ class Form:
 def among(walk: TreeWalk, cells: np.ndarray) -> tuple[TreeWalk, np.ndarray | slice]:
     """A walk through some of its cells, to look closely there, and their places in it: the same walk, which knows much
     of them already, unless it has many more."""
-    if walk.cells.kept and walk.cells.count <= FEW + 4 * len(cells):
+    if walk.cells.count <= FEW + 4 * len(cells):
         return walk, cells
     return TreeWalk(walk.cells.of(cells), nearest_on), slice(None)
 

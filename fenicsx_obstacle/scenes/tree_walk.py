@@ -28,7 +28,6 @@ from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS, COORDINATES, Voc
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
 POINTS = 30_000  # in which a formula is evaluated together: what is made of them fits into the cache of a core
-KEPT = 30_000  # cells: all that is found on so many of them is kept
 Distance = Callable[[np.ndarray], np.ndarray]
 
 
@@ -46,11 +45,6 @@ class Cells:
         """Take them; see the attributes."""
         self.vocabulary, self.corners, self.distance = vocabulary, corners, distance
         self.count = len(corners)
-
-    @property
-    def kept(self) -> bool:
-        """Whether all that is found on them is kept."""
-        return self.count <= KEPT
 
     def of(self, cells: np.ndarray) -> Cells:
         """A selection of the cells."""
