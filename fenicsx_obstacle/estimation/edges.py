@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
@@ -18,7 +17,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplices import Simplices, last_on_sides
-from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, own_cells
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, sides
 from fenicsx_obstacle.parallel import first_given, largest, smallest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
@@ -243,7 +242,8 @@ def boundary_jump(data: Data) -> str | None:
         data: On plane triangles.
     """
     level, (fixed, given) = data.level, data.fixed
-    values, near = given.x.array, _cells_beside(level.mesh, np.concatenate([*data.held, np.empty(0, dtype=np.int32)]))
+    held = np.concatenate([*data.held, np.empty(0, dtype=np.int32)])
+    values, near = given.x.array, np.unique(sides(level.mesh, held)[0])
     dofs, x = releases.cell_dofs(level.V)[near], corners(level.mesh, near)
     part_of = last_on_sides(cell_facets(level.mesh)[near], data.held)
     jumps = Jumps(data, values[fixed])
@@ -254,16 +254,6 @@ def boundary_jump(data: Data) -> str | None:
             ends = np.moveaxis(x[rows[:, None], members, :2], 1, 0)
             jumps.look(part.value, Edges(ends[0], ends[1], near[rows]), values[dofs[rows[:, None], members]])
     return jumps.in_words()
-
-
-def _cells_beside(mesh: dmesh.Mesh, facets: np.ndarray) -> np.ndarray:
-    """The owned cells of local facets, each once (collective)."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim - 1, dim)
-    beside = mesh.topology.connectivity(dim - 1, dim)
-    cells, starts = np.asarray(beside.array), np.asarray(beside.offsets)
-    found = np.union1d(cells[starts[facets]], cells[starts[facets + 1] - 1])
-    return found[found < own_cells(mesh)]
 
 
 def cut_parts(simplices: Simplices) -> list[str]:

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.cells import cell_edges, own_cells
 from fenicsx_obstacle.parallel import total
 
 # the other vertices of a cell after each one
@@ -142,9 +142,7 @@ class Patches:
             two ends of an edge; the patch of each; how many there are.
         """
         mesh = simplices.data.level.mesh
-        mesh.topology.create_entities(1)
-        mesh.topology.create_connectivity(3, 1)
-        local = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[: own_cells(mesh)]
+        local = cell_edges(mesh)[: own_cells(mesh)]
         index_map = mesh.topology.index_map(1)
         number = np.asarray(index_map.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 6)
         between, others, every, keys = simplices.edges(number), np.array(OTHERS[3]), np.arange(4), []
