@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -14,16 +13,8 @@ ROUNDED = 4e-15  # relative to the values of u: of a difference of two of them,
 ROUND_OFF = 1e-14  # and of a datum and what interpolates it
 
 DEGREE = 4  # of interpolants of boundary values
-
-
-def _lattice(corners: int) -> np.ndarray:
-    """Barycentric coordinates of the nodes of degree DEGREE, times DEGREE, in the order of Bernstein coefficients,
-    shape (nodes, corners)."""
-    steps = product(range(DEGREE, -1, -1), repeat=corners)
-    return np.array([one for one in steps if sum(one) == DEGREE])
-
-
-NODES = {corners: _lattice(corners) for corners in (1, 2, 3, 4)}
+# barycentric coordinates of the nodes, times DEGREE, in the order of Bernstein coefficients
+NODES = {corners: polynomials.exponents(corners, DEGREE).astype(int) for corners in (1, 2, 3, 4)}
 # Bernstein coefficients from values at these nodes
 TO_BERNSTEIN = {
     corners: np.linalg.inv(polynomials.evaluate(np.eye(len(nodes)), nodes / DEGREE, DEGREE).T)

@@ -350,12 +350,8 @@ def _scale(degree: int, size: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 def _steepness(corners: int, degree: int, size: np.ndarray, height: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """Bound of the gradient of a datum minus its interpolant; the arguments are those of `_Near._near`."""
-    return _quotient(polynomials.STEEPNESS[corners][degree] * _scale(degree, size, bound), height, np.inf)
-
-
-def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:
-    """a/b, and a number where b is 0."""
-    return np.divide(a, b, out=np.full(len(a), otherwise), where=b > 0)
+    steep = polynomials.STEEPNESS[corners][degree] * _scale(degree, size, bound)
+    return np.divide(steep, height, out=np.full(len(steep), np.inf), where=height > 0)
 
 
 @dataclass(frozen=True, eq=False)

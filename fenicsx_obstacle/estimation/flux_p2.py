@@ -105,10 +105,10 @@ class EquilibrationP2:
         entries = {(u, v): patches.gather(form[:, :, u, v])[0] for u in range(3) for v in range(u, 3)}
         self._of_first = np.stack([entries[0, u] for u in range(3)])
         # the circulation around the vertex, and the moments on the edges through which it enters and leaves
-        edges, patch, count = patches.facets(simplices)
+        edges, patch = patches.facets(simplices)
         around = np.arange(len(patches.vertex))
         numbers = np.column_stack([patches.patch, len(around) + edges[:, 1], len(around) + edges[:, 0]])
-        zero = np.zeros(len(around) + count, dtype=bool)
+        zero = np.zeros(len(around) + len(patch), dtype=bool)
         zero[patches.patch[patches.free_boundary.any(axis=1)]] = True
         zero[len(around) + edges[patches.free_boundary]] = True
         products = ((u, v, values) for (u, v), values in entries.items())

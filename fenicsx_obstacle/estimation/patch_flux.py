@@ -57,10 +57,10 @@ class PatchFlux:
             return
         self._gram = self._weigh(simplices)
         if dim == 2:
-            numbers, owner, count = patches.patch[:, None], np.arange(len(patches.vertex)), len(patches.vertex)
+            numbers, owner = patches.patch[:, None], np.arange(len(patches.vertex))
         else:
-            numbers, owner, count = patches.edges(simplices)
-        zero = np.zeros(count, dtype=bool)
+            numbers, owner = patches.edges(simplices)
+        zero = np.zeros(len(owner), dtype=bool)
         for k in range(dim):  # functions that flow through a facet
             through = [j for j, both in enumerate(self._streams) if k in both]
             zero[numbers[patches.free_boundary[:, k]][:, through]] = True

@@ -116,30 +116,26 @@ class Patches:
         shape = len(vertex), dim
         return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
 
-    def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
+    def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray]:
         """The facets of each patch (collective).
 
         Returns:
             Their numbers at the corners, shape (corners, d), the same on both sides of a facet unless u is given on it;
-            the patch of each; how many there are.
+            the patch of each.
         """
         sides = self._sides(simplices)
         every = np.arange(sides.beside.size).reshape(sides.beside.shape)
-        first = np.minimum(every, np.where((sides.beside >= 0) & ~sides.held, sides.beside, every))
-        numbers, count = dense(first[self._order].ravel(), every.size)
-        numbers = numbers.reshape(every.shape)
-        patch = np.empty(count, dtype=np.int64)
-        patch[numbers] = self.patch[:, None]
-        return numbers, patch, count
+        beside = np.where((sides.beside >= 0) & ~sides.held, sides.beside, every)
+        return self._numbered(np.minimum(every, beside), every.size)
 
-    def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
+    def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray]:
         """The edges from each vertex to the others of its corners, of tetrahedra (collective).
 
         Facets on which u is given may divide the cells around an edge: each patch has edges of its own.
 
         Returns:
             Their numbers at the corners, shape (corners, 3), which begin anew at each rank and are different for the
-            two ends of an edge; the patch of each; how many there are.
+            two ends of an edge; the patch of each.
         """
         mesh = simplices.data.level.mesh
         local = cell_edges(mesh)[: own_cells(mesh)]
@@ -149,16 +145,20 @@ class Patches:
         for there in others.T:
             upper = self._number > self._number[:, there]
             keys.append(2 * between[:, every, there] + upper)
-        found = np.stack(self._to_owners(*keys), axis=1)
-        numbers, count = dense(found.ravel(), 2 * index_map.size_global)
-        numbers = numbers.reshape(found.shape)[self._order]
+        return self._numbered(np.stack(self._to_owners(*keys), axis=1), 2 * index_map.size_global)
+
+    def _numbered(self, keys: np.ndarray, limit: int) -> tuple[np.ndarray, np.ndarray]:
+        """What has a key below a limit, given as corners come to their owners: numbers at the corners, and the patch of
+        each (local)."""
+        numbers, count = dense(keys[self._order].ravel(), limit)
+        numbers = numbers.reshape(keys.shape)
         patch = np.empty(count, dtype=np.int64)
         patch[numbers] = self.patch[:, None]
         if np.any(patch[numbers] != self.patch[:, None]):  # patches with a common edge
             both = numbers.astype(np.int64) * len(self.vertex) + self.patch[:, None]
             every, numbers = np.unique(both, return_inverse=True)
             numbers, patch = numbers.reshape(both.shape), every % len(self.vertex)
-        return numbers, patch, len(patch)
+        return numbers, patch
 
 
 def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:

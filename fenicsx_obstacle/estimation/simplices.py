@@ -208,9 +208,3 @@ def integrals(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def reciprocals(values: np.ndarray) -> np.ndarray:
     """1/values, 0 where a value is 0."""
     return np.divide(1.0, values, out=np.zeros(values.shape), where=values != 0)
-
-
-def lattice(parts: int) -> np.ndarray:
-    """Barycentric coordinates of the points that divide the edges and the inside evenly, shape (n, 3)."""
-    steps = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
-    return np.array(steps) / parts
