@@ -30,7 +30,7 @@ class AroundNodes:
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums at local dofs of values at the nodes of cells, shape (cells, n)."""
-        found = np.bincount(self.nodes.ravel(), values.ravel(), self._count)
+        found = np.bincount(self.nodes.ravel(), values.ravel(), self._count).astype(float, copy=False)  # even of none
         return over_ranks(self._map, self.V.mesh.comm, found, PETSc.InsertMode.ADD)
 
     def largest(self, values: np.ndarray) -> np.ndarray:

@@ -204,11 +204,8 @@ class Estimator:
 
     def _violated(self, terms: Terms) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
-        known, elastic, comm = (
-            "tension, load, foundation, flux and spring",
-            self.problem.model.elastic,
-            self.problem.level.comm,
-        )
+        known = "tension, load, foundation, flux and spring"
+        elastic, comm = self.problem.model.elastic, self.problem.level.comm
         unknown = unknown_effects(self.problem.data)
         reasons = ["estimated from samples of the obstacles"] if self.sampled else []
         reasons += [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]

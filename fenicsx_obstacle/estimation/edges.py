@@ -55,14 +55,6 @@ class Edges:
         """Corners of parts of edges, shape (n, 2, d)."""
         return np.stack([self.at(edges, low), self.at(edges, high)], axis=1)
 
-    @property
-    def corners(self) -> np.ndarray:
-        return np.stack([self.start, self.end], axis=1)
-
-    @property
-    def lengths(self) -> np.ndarray:
-        return np.linalg.norm(self.end - self.start, axis=1)
-
 
 class Jumps:
     """The largest jump of boundary values that has been found on this rank."""
@@ -204,8 +196,8 @@ class Jumps:
 
     def _finest(self, edges: Edges) -> np.ndarray:
         """The distance from a jump at which values are compared, relative to each edge."""
-        size = np.abs(edges.corners).max(axis=(1, 2), initial=0.0)
-        return np.clip(FINEST * size / edges.lengths, FINEST, 1e-3)
+        size = np.abs(np.hstack([edges.start, edges.end])).max(axis=1, initial=0.0)
+        return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
 
     def _values(self, field: Field, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
         x, points = np.zeros((3, len(which))), edges.at(which, t)

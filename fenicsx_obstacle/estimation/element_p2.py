@@ -13,7 +13,7 @@ from functools import reduce
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.around_nodes import with_ghosts
+from fenicsx_obstacle.estimation.around_nodes import AroundNodes, with_ghosts
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.lattice_obstacle import LatticeObstacle
@@ -167,11 +167,9 @@ class ElementP2(Element):
         below, above = (np.maximum(-np.where(np.isfinite(gap), gap, 0.0), 0.0) for gap in gaps)
         beyond = with_ghosts(self.problem.level.V, below - above)
         middles = beyond[equilibration.nodes[:, 3:]]
-        around = np.zeros((len(middles), 6))
-        around[:, :3] = (middles.sum(axis=1, keepdims=True) - middles) / 2
-        flags = np.zeros_like(around)
-        flags[:, :3] = 1.0
-        sums, counts = equilibration.around.sums(around), equilibration.around.sums(flags)
+        around = AroundNodes(self.problem.level.V, equilibration.nodes[:, :3])
+        sums = around.sums((middles.sum(axis=1, keepdims=True) - middles) / 2)
+        counts = around.sums(np.ones(middles.shape))
         found = np.where(counts > 0, sums / np.maximum(counts, 1.0), beyond)
         found[self.problem.data.fixed[0]] = 0.0
         return found

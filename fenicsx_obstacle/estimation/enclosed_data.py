@@ -318,7 +318,7 @@ class _Near:
 
     def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:
         """Some parts divided: along the line where a condition changes, if one is known, or halved."""
-        within = parts[chosen].within(self.lower[chosen], self.upper[chosen])
+        within = replace(parts[chosen], least=self.lower[chosen], most=self.upper[chosen])
         if not len(chosen):
             return within.halved()
         values, rest = self._known.cuts(chosen)

@@ -55,7 +55,6 @@ class EquilibrationP2:
         simplices: The owned cells, with the dofs of P1.
         patches: Their corners around the vertices.
         apart: Of the patches.
-        around: The cells around the nodes of P2.
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
         load: Its moments are int f psi_j psi_k, shape (cells, 3, 3), its oscillation ||f - Pi_1 f||_T.
@@ -73,8 +72,8 @@ class EquilibrationP2:
         self.nodes = simplices.turned_nodes(releases.cell_dofs(self.level.V)[: len(simplices.area)])
         self._sample_tension(data)
         self.load = Load(simplices, data, tests=lambda points: points[:, :, None] * points[:, None])
-        self.around = AroundNodes(self.level.V, self.nodes)
-        self.missing = self.around.sums(against_nodes(self.load.missing))[: self.level.owned]
+        around = AroundNodes(self.level.V, self.nodes)
+        self.missing = around.sums(against_nodes(self.load.missing))[: self.level.owned]
         self.patches = Patches(simplices)
         self.apart = self.patches.apart
         self._middles = AroundNodes(self.level.V, self.nodes[:, 3:])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -130,10 +130,6 @@ class Parts(Arrays):
         source, weights, share = source[filled], weights[filled], share[filled]
         parts = self._replaced(source, weights @ self.x[source], weights @ self.places[source], share)
         return parts, (weights @ values[source][..., None])[..., 0], np.abs(levels[source])
-
-    def within(self, least: np.ndarray, most: np.ndarray) -> Parts:
-        """The same parts with other bounds."""
-        return replace(self, least=least, most=most)
 
 
 # the parts of simplices by how many corners are on one side: these come first. After the corners stand the places where

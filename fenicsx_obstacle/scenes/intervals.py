@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Truth
 from fenicsx_obstacle.scenes import derivative_bounds
 from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes, has_nan
 
@@ -389,21 +389,23 @@ def extreme(name: str, a: Enclosure, b: Enclosure, above: np.ndarray, below: np.
     """
     of = np.minimum if name == "min" else np.maximum
     first, second = (below, above) if name == "min" else (above, below)  # where a, and where b, may be the result
-    picked = chosen(first | ~second, second, a, b)
+    picked = chosen(Truth(first | ~second, second), a, b)
     # it is not a number where one of the two is none, even where that one would not be the result
     bounds = of(a.lower, b.lower), of(a.upper, b.upper)
     return _beside_poles(replace(picked, lower=bounds[0], upper=bounds[1], defined=a.defined & b.defined), a, b)
 
 
-def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclosure) -> Enclosure:
+def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
     """`yes` where a condition holds, `no` where it fails, the hull where it may do both."""
+    may_hold, may_fail = truth.may_hold, truth.may_fail
     both = may_hold & may_fail
     shared = [np.where(may_hold, a, b) for a, b in zip(yes.parts, no.parts, strict=True)]
     lower = np.where(both, np.minimum(yes.lower, no.lower), shared[0])
     upper = np.where(both, np.maximum(yes.upper, no.upper), shared[1])
     either = derivative_bounds.either(may_hold, may_fail, yes.slopes, no.slopes)
     # a condition that is undecided guards its branches against roots of negative numbers
-    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, shared[4].astype(bool) | both, either)
+    defined = (shared[4].astype(bool) | both) & truth.defined
+    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, defined, either)
 
 
 Rule = Callable[[Enclosure, Enclosure], Enclosure]

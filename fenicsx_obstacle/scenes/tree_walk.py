@@ -142,7 +142,7 @@ class TreeWalk:
     def _number(self, formula: Formula, node: ast.expr) -> Enclosure:
         if is_condition(node):
             truth = self.condition(formula, node)
-            return chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
+            return intervals.chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
         match node:
             case ast.Constant(value=int() | float() as value):
                 return intervals.constant(float(value))
@@ -156,7 +156,7 @@ class TreeWalk:
                 return self.number(formula, operand)
             case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
                 branches = self.number(formula, yes), self.number(formula, no)
-                return chosen(self.condition(formula, test), *branches)
+                return intervals.chosen(self.condition(formula, test), *branches)
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self._call(formula, name, args)
         raise AssertionError(ast.dump(node))
@@ -198,8 +198,8 @@ class TreeWalk:
                 return intervals.absolute(a, sign.up, sign.down)
             case "sign":
                 sign = self._sign(formula, args[0], a)
-                found = chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
-                found = chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
+                found = intervals.chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
+                found = intervals.chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
                 return found.inheriting(a)
             case "floor":
                 return self._floor(a)
@@ -235,7 +235,7 @@ class TreeWalk:
         one = (high <= low) & a.whole
         found = intervals.of_bounds(np.floor(a.lower), np.floor(a.upper), NO_POLYNOMIAL).cut(~one)
         number = intervals.of_bounds(low, low, 0)
-        return chosen(Truth(one, ~one), number, found).inheriting(a)
+        return intervals.chosen(Truth(one, ~one), number, found).inheriting(a)
 
     def condition(self, formula: Formula, node: ast.expr) -> Truth:
         """Whether a node may be true and may be false as a condition, computed once; numbers other than 0 are true."""
@@ -371,12 +371,6 @@ def _size(enclosures: list[Enclosure]) -> np.ndarray:
     least, largest = np.minimum.reduce(sizes), np.maximum.reduce(sizes)
     size = np.where(least > 0, least, largest)
     return np.where(np.isfinite(size), size, 0.0)
-
-
-def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
-    """One of two values where the condition is decided, the hull of both elsewhere."""
-    found = intervals.chosen(truth.may_hold, truth.may_fail, yes, no)
-    return replace(found, defined=found.defined & truth.defined)
 
 
 def _fails(truth: Truth) -> Truth:
