@@ -57,7 +57,7 @@ def inner_points(corners: int, degree: int) -> np.ndarray:
     """Barycentric coordinates of points inside that determine a polynomial, shape (points, corners)."""
     if degree == 0:
         return np.full((1, corners), 1.0 / corners)
-    return (1 - INSET) * _exponents(corners, degree) / degree + INSET / corners
+    return (1 - INSET) * exponents(corners, degree) / degree + INSET / corners
 
 
 def coefficients(values: np.ndarray, corners: int, degree: int) -> np.ndarray:
@@ -123,7 +123,7 @@ def to_parts(parts: np.ndarray, degree: int) -> np.ndarray:
     """
     corners = parts.shape[1]
     inside = (inner_points(corners, degree) @ parts).reshape(-1, corners)
-    count = len(_exponents(corners, degree))
+    count = len(exponents(corners, degree))
     values = _basis(inside, degree).reshape(len(parts), count, count)
     return _to_bernstein(corners, degree) @ values
 
@@ -216,29 +216,30 @@ def from_chords(parts: np.ndarray, degree: int) -> np.ndarray:
         Shape (parts, n, n).
     """
     at_corners = _basis(parts.reshape(-1, parts.shape[2]), degree).reshape(*parts.shape[:2], -1)
-    return to_parts(parts, degree) - _exponents(parts.shape[2], degree) / degree @ at_corners
+    return to_parts(parts, degree) - exponents(parts.shape[2], degree) / degree @ at_corners
 
 
 @cache
 def _raised(corners: int, degree: int) -> np.ndarray:
     """Where the exponents of one degree less, each of them raised by one, stand, shape (corners, polynomials)."""
-    place = {tuple(row): k for k, row in enumerate(_exponents(corners, degree))}
-    lower = _exponents(corners, degree - 1)
+    place = {tuple(row): k for k, row in enumerate(exponents(corners, degree))}
+    lower = exponents(corners, degree - 1)
     return np.array([[place[tuple(row + unit)] for row in lower] for unit in np.eye(corners)])
 
 
 @cache
-def _exponents(corners: int, degree: int) -> np.ndarray:
+def exponents(corners: int, degree: int) -> np.ndarray:
+    """Those of the Bernstein polynomials, in their order: barycentric coordinates of a lattice, times the degree."""
     found = [steps for steps in product(range(degree, -1, -1), repeat=corners) if sum(steps) == degree]
     return np.array(found, dtype=float)
 
 
 def _basis(points: np.ndarray, degree: int) -> np.ndarray:
     """Values of the Bernstein polynomials, shape (points, polynomials)."""
-    exponents = _exponents(points.shape[1], degree).astype(int)
-    times = [factorial(degree) / prod(factorial(k) for k in row) for row in exponents.tolist()]
+    steps = exponents(points.shape[1], degree).astype(int)
+    times = [factorial(degree) / prod(factorial(k) for k in row) for row in steps.tolist()]
     powers = np.stack([points**k for k in range(degree + 1)])
-    factors = (powers[k, :, corner] for corner, k in enumerate(exponents.T))
+    factors = (powers[k, :, corner] for corner, k in enumerate(steps.T))
     return reduce(np.multiply, factors, np.array(times)[:, None]).T
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.effects.field import ByCells
 from fenicsx_obstacle.estimation.clipped import Clipped, _ClippedCells
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
@@ -151,7 +152,7 @@ def test_slope_of_clipped_obstacles(dim):
     x = rng.random((50, dim + 1, dim)) * np.array([1.0, 0.1, 0.3])[:dim]
     slopes = rng.normal(size=(50, dim))
     at_corners = np.einsum("cix,cx->ci", x, slopes) + 100.0
-    cells = _ClippedCells(_Linear(at_corners), Clipped(None, 1.0, 0.0), x)
+    cells = _ClippedCells(_Linear(at_corners), Clipped(ByCells({}, ""), 1.0, 0.0), x)
     steep = cells.linear(np.arange(50))[2]
     np.testing.assert_allclose(steep, np.linalg.norm(slopes, axis=1), rtol=1e-9)
 

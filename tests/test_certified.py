@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, polynomials, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.certification import Certification
+from fenicsx_obstacle.estimation.certification import in_words
 from tests.conftest import COMM, membrane, slow_except
 from tests.test_bound import distance
 
@@ -189,8 +189,8 @@ def test_polygons():
     record["bound"] = {**record["bound"], "effectivity": 0.579}
     text = exact.__class__(**{**vars(exact), "record": record}).summary()
     assert "0.579 times the true one, which includes the error of the curved boundary; the bound" in text
-    both = Certification((), ("load", "obstacle", "boundary value"), True)
-    assert both.words == "certified on the polygon of the mesh for the sampled load, obstacle and boundary value"
+    both = in_words((), ("load", "obstacle", "boundary value"), polygon=True)
+    assert both == "certified on the polygon of the mesh for the sampled load, obstacle and boundary value"
 
 
 JUMPS = {

@@ -183,8 +183,7 @@ def test_the_rule_of_parts_is_that_of_the_cell(data):
     "floor(3*x) + where(y > x^2, exp(x), y)",
 ])  # fmt: skip
 def test_cells_in_many_blocks_have_the_same_pieces(data, monkeypatch, text):
-    """Of many cells intervals settle most, the others are looked at again, all together; of few cells all that is found
-    is kept. Neither changes bounds, parts, polynomials or rests."""
+    """How many cells are looked at together changes no bounds, parts, polynomials or rests."""
     ends = np.linspace(0, 1, 12)
     low, high = (np.stack([a.ravel() for a in np.meshgrid(side, side)], axis=1) for side in (ends[:-1], ends[1:]))
     other = np.stack([high[:, 0], low[:, 1]], axis=1)
@@ -192,11 +191,9 @@ def test_cells_in_many_blocks_have_the_same_pieces(data, monkeypatch, text):
     field = FormulaField(SCENE.formula(text, "here"), SCENE)
     expected, bounds = pieces(data, text, x), field.over(x, {}, np.zeros(len(x), dtype=int)).once()
     monkeypatch.setattr("fenicsx_obstacle.estimation.enclosed_data.AT_ONCE", 10)
-    for kept in (0, 10**6):
-        monkeypatch.setattr("fenicsx_obstacle.scenes.tree_walk.KEPT", kept)
-        found = pieces(data, text, x)
-        for one, other in zip(_by_simplex(found, len(x)), _by_simplex(expected, len(x)), strict=True):
-            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+    found = pieces(data, text, x)
+    for one, other in zip(_by_simplex(found, len(x)), _by_simplex(expected, len(x)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
     ranges = range_of(data, field, x, np.zeros(len(x), dtype=int))
     for one, other in ((ranges.lower, bounds.lower), (ranges.upper, bounds.upper)):
         known = bounds.finite

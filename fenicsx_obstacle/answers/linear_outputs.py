@@ -6,7 +6,7 @@ certified,
     |Q(u) - Q(u_h)| <= ||Q||_* B + |Q_0(w)|,   ||Q||_* = sup Q_0(v)/||v|| = ||z||,   Q_0(v) = int q v,
 
 v = 0 where u is given, and z solves the linear problem a(z, v) = int q v of the same tension, foundation and springs.
-w continues what boundary values are between the nodes (`estimation/boundary_values.py`): u - u_h - w is 0 where u is
+w continues what boundary values are between the nodes (`estimation/boundary_data.py`): u - u_h - w is 0 where u is
 given, and B bounds its norm. |Q_0(w)| is at most the sum of |T| max|q| max|w| over the cells T. The error bound B_z of
 z_h on the same mesh gives ||z||^2 = Q_0(z) <= Q_0(z_h) + B_z ||z||, hence ||z|| <= B_z/2 + (B_z^2/4 + Q_0(z_h))^(1/2).
 The values Q(u_h) and Q_0(z_h) are exact, because so is the quadrature of [report] for such integrands.

@@ -96,10 +96,6 @@ class Enclosed(ABC):
     def once(self) -> Bounds:
         """Bounds over each simplex."""
 
-    def by_intervals(self) -> tuple[Bounds, np.ndarray]:
-        """Bounds that cost less, and the simplices where `once` may find sharper ones."""
-        return self.once(), np.zeros(len(self.corners), dtype=bool)
-
     @abstractmethod
     def some(self, cells: np.ndarray) -> Enclosed:
         """The same on some of the simplices."""

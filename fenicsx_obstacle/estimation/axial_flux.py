@@ -12,8 +12,6 @@ beyond its mean, a (1/r - 1/r_T), is weighed by Poincare's constant. In a cell w
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from fenicsx_obstacle import polynomials
@@ -123,10 +121,3 @@ class AxialPatchFlux(PatchFlux):
     def _target(self, beta: np.ndarray, a: int, k: int) -> np.ndarray:
         """See `PatchFlux._target`: the shares that the ends of an edge have."""
         return beta[:, k] * (1 + (self._radius[:, a] - self._radius[:, k]) / sums(self._radius))
-
-    def _products(self, simplices: Simplices) -> Iterator[tuple[int, int, np.ndarray]]:
-        """See `PatchFlux._products`."""
-        part = np.empty(self._radius.shape)
-        for a, (b, c) in enumerate(self._others):
-            part[:, a] = self._gram[b, b] - 2 * self._gram[b, c] + self._gram[c, c]
-        yield 0, 0, self._patches.gather(part)[0]

@@ -161,7 +161,7 @@ class Estimator:
             return sqrt(max(total(comm, squares), 0.0))
 
         unbalanced, algebraic = (self._friedrichs * norm(rest) for rest in (terms.rest, terms.solver_rest))
-        lacking = np.zeros(len(terms.rest)) if terms.lacking is None else self._friedrichs**2 * terms.lacking
+        lacking = self._friedrichs**2 * terms.lacking
         unbalanced += self._load_rest + norm(lacking)
         eta_g, eta_p, eta_C = norm(self._rim_energy), norm(terms.cover), max(total(comm, terms.contact), 0.0)
         moved = norm(terms.moved)
@@ -188,7 +188,7 @@ class Estimator:
         violated = self._violated(terms)
         if not np.isfinite(bound):
             violated.append("data may be undefined somewhere")
-        certification = self._hypotheses.certification(violated, self.element.every_obstacle)
+        words = self._hypotheses.words(violated, self.element.every_obstacle)
         admissible = fem.Function(problem.level.V, name="admissible")
         admissible.x.array[:] = terms.admissible
         between = norm(terms.raised) + eta_p
@@ -199,17 +199,13 @@ class Estimator:
             total=bound, admissible_total=B, relative=bound / energy_norm if energy_norm > 0 else None,
             discretisation=norm(terms.distance), penalty=norm(terms.penetration), algebraic=algebraic,
             data=hypot(norm(terms.oscillation**2), eta_g, between, max(unbalanced - algebraic, 0.0)),
-            guaranteed=certification.guaranteed, words=certification.words, energy=energy, indicator=indicator,
-            admissible=admissible,
+            guaranteed=words == "certified", words=words, energy=energy, indicator=indicator, admissible=admissible,
         )  # fmt: skip
 
     def _violated(self, terms: Terms) -> list[str]:
         """The violated hypotheses that depend on the state and on effects (collective)."""
-        known, elastic, comm = (
-            "tension, load, foundation, flux and spring",
-            self.problem.model.elastic,
-            self.problem.level.comm,
-        )
+        known = "tension, load, foundation, flux and spring"
+        elastic, comm = self.problem.model.elastic, self.problem.level.comm
         unknown = unknown_effects(self.problem.data)
         reasons = ["estimated from samples of the obstacles"] if self.sampled else []
         reasons += [f"estimated, no bound, as its proof covers {known}, not {effect.key}" for effect in unknown]

@@ -34,12 +34,12 @@ from fenicsx_obstacle.estimation.boundary_values import (
     ROUND_OFF,
     ROUNDED,
     TO_BERNSTEIN,
-    BoundaryValues,
     Facets,
     places,
 )
 from fenicsx_obstacle.estimation.edges import Edges, Jumps
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
+from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.shared_edges import SharedEdges
@@ -58,8 +58,23 @@ LOOKS = {2: 12, 3: 6}  # degree of the points of facets at which obstacles are c
 NO_WIDTH = 1e-14  # relative to the facet: parts between two cuts that are narrower are lines, up to round-off
 
 
-class BoundaryData(BoundaryValues):
-    """The continuation of boundary values from facets of triangles or tetrahedra into the cells, (E3)."""
+class BoundaryData:
+    """The continuation of boundary values from facets into the cells, (E3); 0 on intervals, whose facets are nodes.
+
+    Attributes:
+        leaves: Whether the continuation may leave what d keeps to in each cell: v_h may be above a constant on the
+            boundary and not with it inside.
+        twice: Whether it may in any, on any rank.
+        sampled: Whether no bounds of a boundary value, or of its slope, are known somewhere, on any rank.
+        unbounded: Where a boundary value may be infinite, a point on one rank.
+        least: A lower bound of what is given, on all ranks; infinite if nothing is.
+        most: An upper bound.
+        deviation: Bound of the continuation, shape (owned cells,).
+        volume: Its integral over each cell,
+        volume_rest: and how far it may be from that.
+    """
+
+    unbounded: np.ndarray | None = None
 
     def __init__(self, simplices: Simplices, middles: np.ndarray | None = None):
         """Enclose the boundary values (collective).
@@ -71,11 +86,12 @@ class BoundaryData(BoundaryValues):
         Raises:
             InputError: If they jump.
         """
-        super().__init__(simplices)
+        self.simplices = simplices
         data, comm, self._dim, self._middles = simplices.data, simplices.data.level.comm, simplices.dim, middles
         nodal = data.fixed[1].x.array
-        self._heights = max(largest(comm, np.abs(nodal[data.fixed[0]])), 0.0)
-        self._jumps, self._samples = Jumps(data, nodal[data.fixed[0]]), 0
+        given = nodal[data.fixed[0]]
+        self._heights = max(largest(comm, np.abs(given)), 0.0)
+        self._jumps, self._samples = Jumps(data, given), 0
         self._bounds = 3 if self._dim == 2 else 4
         self._parts = parts = self._facets(nodal)
         self._edges = SharedEdges(simplices, nodal) if self._dim == 3 else None
@@ -85,7 +101,7 @@ class BoundaryData(BoundaryValues):
         else:
             self._samples += self._edges.compare(parts, self._jumps)
         self._jumps.reject()
-        low, high, found = [self.least], [self.most], []
+        low, high, found = [smallest(comm, given)], [largest(comm, given)], []
         for part in parts:
             d, bounds, lower, upper = self._enclosed(part)
             found.append((part, d, bounds))
@@ -102,7 +118,8 @@ class BoundaryData(BoundaryValues):
         self.twice = total(comm, np.count_nonzero(self.leaves)) > 0
 
     def below(self, obstacle: Field, sign: float) -> float:
-        """By how much sign times what is given is below an obstacle at points of facets, on this rank."""
+        """By how much sign times what is given is below an obstacle at points of facets, on this rank; -inf of
+        intervals."""
         most, data = -np.inf, self.simplices.data
         for part in self._parts:
             x = polynomials.inner_points(self._dim, LOOKS[self._dim]) @ part.x
@@ -116,7 +133,7 @@ class BoundaryData(BoundaryValues):
         """The facets of each part (local)."""
         simplices, found = self.simplices, []
         for number, part in enumerate(simplices.data.model.boundary):
-            if part.value is not None:
+            if part.value is not None and self._dim > 1:
                 cells, opposite = np.nonzero(simplices.part_of == number)
                 members = np.array(facet_vertices(self._dim))[opposite]
                 x, ends = simplices.x[cells[:, None], members], nodal[simplices.dofs[cells[:, None], members]]
@@ -182,29 +199,29 @@ class BoundaryData(BoundaryValues):
             part: The facets.
             enough: A bound of the slope that need not be improved, on each facet.
         """
-        dim, count = self._dim, len(part.cells)
-        owner, inside, found = np.arange(count), np.broadcast_to(np.eye(dim), (count, dim, dim)), []
-        lower, upper, share, times = [], [], 1.0, 2 ** (dim - 1)
+        dim, parts = self._dim, Parts.whole(part.x, part.cells)
+        lower, upper, found = [], [], []
         for split in range(HALVED[dim] + 1):
-            last = split == HALVED[dim] or times * len(owner) > MAX_PARTS
+            last = split == HALVED[dim] or parts.times * len(parts.rows) > MAX_PARTS
             division = replace(DIVISION[dim], depth=max(DIVISION[dim].depth - split, MIN_DEPTH))
-            pieces = pieces_of(self.simplices.data, part.value, inside @ part.x[owner], part.cells[owner], division)
+            pieces = pieces_of(self.simplices.data, part.value, parts.x, parts.cells, division)
             self._samples += int(pieces.sampled)
             lower.append(pieces.lower)
             upper.append(pieces.upper)
             if not pieces.finite.all():
-                self.unbounded = np.pad(part.x[owner[np.argmin(pieces.finite)]].mean(axis=0), (0, 3 - dim))
+                self.unbounded = np.pad(part.x[parts.rows[np.argmin(pieces.finite)]].mean(axis=0), (0, 3 - dim))
             groups = [self._between_samples(part, group) for group in pieces.groups]
-            far = np.zeros(len(owner), dtype=bool)
+            far = np.zeros(len(parts.rows), dtype=bool)
             for group in groups:
-                far[group.rows[group.steep > enough[owner[group.rows]]]] = not last
+                far[group.rows[group.steep > enough[parts.rows[group.rows]]]] = not last
             for group in groups:
                 kept = group[np.flatnonzero(~far[group.rows])]
-                corners = inside[kept.rows] if kept.corners is None else kept.corners @ inside[kept.rows]
-                found.append(replace(kept, rows=owner[kept.rows], corners=corners, share=share * kept.share))
+                of = parts[kept.rows]
+                corners = of.places if kept.corners is None else kept.corners @ of.places
+                found.append(replace(kept, rows=of.rows, corners=corners, share=of.share * kept.share))
             if not far.any():
                 break
-            owner, inside, share = np.repeat(owner[far], times), polynomials.halved(inside[far]), share / times
+            parts = parts[far].halved()
         return found, np.concatenate(lower), np.concatenate(upper)
 
     def _between_samples(self, part: Facets, known: Group) -> Group:
@@ -258,7 +275,7 @@ class BoundaryData(BoundaryValues):
         """The polynomials of w in the cells (local)."""
         simplices, corners, inside = self.simplices, self._dim + 1, NODES[self._dim].all(axis=1)
         count = len(simplices.area)
-        near = np.zeros(count, dtype=bool)
+        near, self.volume = np.zeros(count, dtype=bool), np.zeros(count)
         for part, d in found:
             near[part.cells[d.any(axis=1)]] = True
         if self._edges is not None:
@@ -303,7 +320,7 @@ class BoundaryData(BoundaryValues):
         self.volume_rest = simplices.area * self._rest
 
     def energy(self, mu: np.ndarray) -> np.ndarray:
-        """See `BoundaryValues.energy`."""
+        """Bound of ||mu^(1/2) grad||^2 of the continuation in each cell, mu being the largest tension there."""
         return mu * self.simplices.area * self._energy
 
     def values(self, cells: np.ndarray, where: np.ndarray) -> np.ndarray:
@@ -318,7 +335,16 @@ class BoundaryData(BoundaryValues):
         return found
 
     def on_parts(self, owner: np.ndarray, inside: np.ndarray, sign: float) -> tuple[np.ndarray, np.ndarray]:
-        """See `BoundaryValues.on_parts`."""
+        """Bounds of the continuation on parts of cells.
+
+        Args:
+            owner: The owned cell of each part.
+            inside: Barycentric coordinates of the corners of the parts, shape (parts, corners, corners).
+            sign: Times the continuation.
+
+        Returns:
+            A lower bound of sign times it on each part, 0 at most, and a bound of its gradient.
+        """
         least, steep, place = -self._rest[owner], self._steep[owner], np.flatnonzero(self._row[owner] >= 0)
         row = self._row[owner[place]]
         coefficients = polynomials.restricted(sign * self._coefficients[row], inside[place], DEGREE)

@@ -15,6 +15,7 @@ from fenicsx_obstacle.estimation.enclosed_data import pieces_of
 from fenicsx_obstacle.estimation.part_forces import DIVISION, PartForces
 from fenicsx_obstacle.estimation.pieces import joined
 from fenicsx_obstacle.estimation.simplices import Simplices, reciprocals
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.parallel import total
 
 
@@ -48,8 +49,8 @@ class BoundaryObstacle:
         self.rows = np.flatnonzero(number >= 0)
         self._dofs, cells = parts.dofs[self.rows], parts.cells[self.rows]
         self._share = (parts.share * parts.size * parts.ratio)[self.rows] / self._dim
-        shares = self._in_cells(np.repeat(self._share[:, None], self._dim, axis=1))
-        self._inverse = reciprocals(simplices.around.sums(shares))  # of the size of the facets around each node
+        around, facets = AroundNodes(data.level.V, self._dofs), np.ones(self._dofs.shape)
+        self._inverse = reciprocals(around.sums(self._share[:, None] * facets))  # of the size of facets around nodes
         self.unbounded, self.sampled = np.zeros(len(simplices.area), dtype=bool), False
         self.lifted, self._pieces = self.nodal, joined([], len(cells))
         if self._dim == 1:  # facets are points
@@ -62,15 +63,7 @@ class BoundaryObstacle:
         self.sampled = total(comm, int(pieces.sampled)) > 0
         self.unbounded[cells[~np.isfinite(pieces.upper if sign > 0 else pieces.lower)]] = True
         above = np.maximum(self._highest(self.nodal), 0.0)
-        raised = np.zeros(simplices.dofs.shape)
-        np.maximum.at(raised, (cells[:, None], parts.corners[self.rows]), above[:, None])
-        self.lifted = self.nodal + simplices.around.largest(raised)
-
-    def _in_cells(self, values: np.ndarray) -> np.ndarray:
-        """Values at the vertices of the facets, shape (rows, d), summed at those of the cells."""
-        parts, found = self._parts, np.zeros(self._parts.simplices.dofs.shape)
-        np.add.at(found, (parts.cells[self.rows][:, None], parts.corners[self.rows]), values)
-        return found
+        self.lifted = self.nodal + around.largest(above[:, None] * facets)
 
     def forces(self, at_nodes: np.ndarray) -> np.ndarray:
         """Contact forces by vertices of the cell of each facet of `parts`, shape (facets, d + 1) (local).

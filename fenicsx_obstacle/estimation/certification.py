@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -20,35 +20,6 @@ class Obstacle(Protocol):
 
     sampled: bool
     unbounded: np.ndarray
-
-
-@dataclass(frozen=True)
-class Certification:
-    """How far a bound is guaranteed.
-
-    Attributes:
-        reasons: Why it is an indicator only; empty if it is more.
-        sampled: Data that are known at samples only, by name.
-        polygon: Whether the domain may differ from the polygon of the mesh.
-    """
-
-    reasons: tuple[str, ...]
-    sampled: tuple[str, ...]
-    polygon: bool
-
-    @property
-    def guaranteed(self) -> bool:
-        """Whether all hypotheses hold."""
-        return not (self.reasons or self.sampled or self.polygon)
-
-    @property
-    def words(self) -> str:
-        """'certified', and for what; or 'an indicator', and why."""
-        *most, last = self.sampled or ("",)
-        sampled = f" for the sampled {', '.join(most)}{' and ' if most else ''}{last}" if last else ""
-        if self.reasons:
-            return "an indicator: " + "; ".join(self.reasons)
-        return f"certified{' on the polygon of the mesh' if self.polygon else ''}{sampled}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +44,7 @@ class CellDatum:
 class Hypotheses:
     """The hypotheses of the bound for the data on one mesh, checked without sampling."""
 
-    def __init__(self, simplices: Simplices, known: Iterable[CellDatum], dirichlet: BoundaryValues):
+    def __init__(self, simplices: Simplices, known: Iterable[CellDatum], dirichlet: BoundaryData):
         """Look at the parts of the boundary (collective).
 
         Args:
@@ -99,8 +70,8 @@ class Hypotheses:
         if place := self._first(dirichlet.unbounded):
             self._reasons.append(f"the boundary value may be infinite or undefined near {place}")
 
-    def certification(self, reasons: Iterable[str], obstacles: Iterable[Obstacle]) -> Certification:
-        """How far a bound is guaranteed (collective).
+    def words(self, reasons: Iterable[str], obstacles: Iterable[Obstacle]) -> str:
+        """How far a bound is guaranteed, as `in_words` has it (collective).
 
         Args:
             reasons: Further ones for which it is an indicator.
@@ -113,7 +84,7 @@ class Hypotheses:
         sampled = list(self._sampled)
         sampled += ["obstacle"] if any(side.sampled for side in obstacles) else []
         sampled += ["boundary value"] if self._rim.sampled else []
-        return Certification(tuple(found), tuple(sampled), level.polygonal is not True)
+        return in_words(found, sampled, polygon=level.polygonal is not True)
 
     def _near(self, cells: np.ndarray) -> str:
         """The first of some cells, in words; empty if there is none (collective)."""
@@ -125,3 +96,18 @@ class Hypotheses:
         data = self._simplices.data
         found = first_given(data.level.comm, point)
         return "" if found is None else data.place(found)
+
+
+def in_words(reasons: Sequence[str], sampled: Sequence[str], *, polygon: bool) -> str:
+    """'certified' if all hypotheses hold, or with that for which it is; or 'an indicator', and why.
+
+    Args:
+        reasons: Why it is an indicator only; empty if it is more.
+        sampled: Data that are known at samples only, by name.
+        polygon: Whether the domain may differ from the polygon of the mesh.
+    """
+    if reasons:
+        return "an indicator: " + "; ".join(reasons)
+    *most, last = sampled or ("",)
+    of_samples = f" for the sampled {', '.join(most)}{' and ' if most else ''}{last}" if last else ""
+    return f"certified{' on the polygon of the mesh' if polygon else ''}{of_samples}"

@@ -11,39 +11,20 @@ from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed, Fiel
 from fenicsx_obstacle.estimation.simplex_geometry import gradients
 
 
-@dataclass(frozen=True, eq=False)
 class Clipped(Field):
-    """max(obstacle, limit) of a lower obstacle, min(obstacle, limit) of an upper one.
+    """max(obstacle, limit) of a lower obstacle, min(obstacle, limit) of an upper one."""
 
-    Attributes:
-        obstacle: The obstacle.
-        sign: 1 for a lower obstacle, -1 for an upper one.
-        limit: A value that is nowhere beyond the solution.
-    """
+    def __init__(self, obstacle: Field, sign: float, limit: float):
+        """Cut it off.
 
-    obstacle: Field
-    sign: float
-    limit: float
-
-    @property
-    def source(self) -> str:  # type: ignore[override]
-        return self.obstacle.source
-
-    @property
-    def text(self) -> str:  # type: ignore[override]
-        return self.obstacle.text
-
-    @property
-    def uniform(self) -> bool:  # type: ignore[override]
-        return self.obstacle.uniform
-
-    @property
-    def needs_distance(self) -> bool:  # type: ignore[override]
-        return self.obstacle.needs_distance
-
-    @property
-    def continuous(self) -> bool:  # type: ignore[override]
-        return self.obstacle.continuous
+        Args:
+            obstacle: The obstacle.
+            sign: 1 for a lower obstacle, -1 for an upper one.
+            limit: A value that is nowhere beyond the solution.
+        """
+        self.obstacle, self.sign, self.limit = obstacle, sign, limit
+        self.source, self.text, self.uniform = obstacle.source, obstacle.text, obstacle.uniform
+        self.needs_distance, self.continuous = obstacle.needs_distance, obstacle.continuous
 
     @property
     def pointwise(self) -> bool:
@@ -69,10 +50,6 @@ class _ClippedBounds(Bounds):
     beyond: np.ndarray
     known: Bounds
 
-    @property
-    def finite(self) -> np.ndarray:
-        return np.isfinite(self.lower) & np.isfinite(self.upper)
-
     def derivative(self, k: int) -> np.ndarray:
         return np.where(self.beyond, 0.0, self.known.derivative(k))
 
@@ -84,14 +61,7 @@ class _ClippedCells(Enclosed):
     corners: np.ndarray
 
     def once(self) -> Bounds:
-        return self._cut_off(self.known.once())
-
-    def by_intervals(self) -> tuple[Bounds, np.ndarray]:
-        bounds, blurred = self.known.by_intervals()
-        found = self._cut_off(bounds)
-        return found, blurred & ~found.beyond
-
-    def _cut_off(self, bounds: Bounds) -> _ClippedBounds:
+        bounds = self.known.once()
         limit = self.by.limit
         near, far = (bounds.lower, bounds.upper) if self.by.sign > 0 else (bounds.upper, bounds.lower)
         beyond = self.by.sign * (far - limit) <= 0  # all of it is cut off

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.system import NO_BOUND
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes, with_ghosts
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.parallel import largest, total
 
@@ -134,17 +134,9 @@ def _with_boundary(problem: Problem, shares: np.ndarray, gap: np.ndarray) -> np.
     touching = problem.fixed & (problem.weights > 0) & (gap <= ON_OBSTACLE * problem.range_of_u())
     if total(comm, np.count_nonzero(touching)) == 0:
         return shares
-    known, sums, counts = (fem.Function(level.V) for _ in range(3))
-    known.x.array[: len(shares)] = shares
-    known.x.scatter_forward()
-    dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
-    local = known.x.array[dofs]
-    pressing = np.count_nonzero(local, axis=1)
-    beside = pressing > 0
-    for column in dofs[beside].T:
-        np.add.at(sums.x.array, column, local[beside].sum(axis=1) / pressing[beside])
-        np.add.at(counts.x.array, column, 1.0)
-    for function in (sums, counts):
-        releases.add_ghosts(function)
-    count = counts.x.array[: len(shares)]
-    return np.where(touching & (count > 0), sums.x.array[: len(shares)] / np.maximum(count, 1.0), shares)
+    around = AroundNodes(level.V, releases.cell_dofs(level.V)[: own_cells(level.mesh)])
+    local = with_ghosts(level.V, shares)[around.nodes]
+    pressing = np.repeat(np.count_nonzero(local, axis=1)[:, None], local.shape[1], axis=1)
+    means = local.sum(axis=1, keepdims=True) / np.maximum(pressing, 1)
+    sums, counts = (around.sums(values)[: len(shares)] for values in (means, pressing > 0))
+    return np.where(touching & (counts > 0), sums / np.maximum(counts, 1.0), shares)

@@ -13,10 +13,11 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
+from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF
 from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
-from fenicsx_obstacle.estimation.pieces import Range
+from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.rt1 import nodes_of, quadratics
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import total
@@ -38,7 +39,7 @@ class CoveredObstacle:
         unbounded: Whether it may be infinite in each cell, on the side of the state.
     """
 
-    def __init__(self, simplices: Simplices, dirichlet: BoundaryValues, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Pieces):
         """Store the obstacle and its bounds (collective).
 
         Args:

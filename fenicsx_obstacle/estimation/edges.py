@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
@@ -18,7 +17,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplices import Simplices, last_on_sides
-from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, own_cells
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, sides
 from fenicsx_obstacle.parallel import first_given, largest, smallest
 
 FINEST = 1e-11  # of the coordinates: how near to a jump values are compared,
@@ -55,14 +54,6 @@ class Edges:
     def pieces(self, edges: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Corners of parts of edges, shape (n, 2, d)."""
         return np.stack([self.at(edges, low), self.at(edges, high)], axis=1)
-
-    @property
-    def corners(self) -> np.ndarray:
-        return np.stack([self.start, self.end], axis=1)
-
-    @property
-    def lengths(self) -> np.ndarray:
-        return np.linalg.norm(self.end - self.start, axis=1)
 
 
 class Jumps:
@@ -205,8 +196,8 @@ class Jumps:
 
     def _finest(self, edges: Edges) -> np.ndarray:
         """The distance from a jump at which values are compared, relative to each edge."""
-        size = np.abs(edges.corners).max(axis=(1, 2), initial=0.0)
-        return np.clip(FINEST * size / edges.lengths, FINEST, 1e-3)
+        size = np.abs(np.hstack([edges.start, edges.end])).max(axis=1, initial=0.0)
+        return np.clip(FINEST * size / np.linalg.norm(edges.end - edges.start, axis=1), FINEST, 1e-3)
 
     def _values(self, field: Field, edges: Edges, which: np.ndarray, t: np.ndarray) -> np.ndarray:
         x, points = np.zeros((3, len(which))), edges.at(which, t)
@@ -243,7 +234,8 @@ def boundary_jump(data: Data) -> str | None:
         data: On plane triangles.
     """
     level, (fixed, given) = data.level, data.fixed
-    values, near = given.x.array, _cells_beside(level.mesh, np.concatenate([*data.held, np.empty(0, dtype=np.int32)]))
+    held = np.concatenate([*data.held, np.empty(0, dtype=np.int32)])
+    values, near = given.x.array, np.unique(sides(level.mesh, held)[0])
     dofs, x = releases.cell_dofs(level.V)[near], corners(level.mesh, near)
     part_of = last_on_sides(cell_facets(level.mesh)[near], data.held)
     jumps = Jumps(data, values[fixed])
@@ -254,16 +246,6 @@ def boundary_jump(data: Data) -> str | None:
             ends = np.moveaxis(x[rows[:, None], members, :2], 1, 0)
             jumps.look(part.value, Edges(ends[0], ends[1], near[rows]), values[dofs[rows[:, None], members]])
     return jumps.in_words()
-
-
-def _cells_beside(mesh: dmesh.Mesh, facets: np.ndarray) -> np.ndarray:
-    """The owned cells of local facets, each once (collective)."""
-    dim = mesh.topology.dim
-    mesh.topology.create_connectivity(dim - 1, dim)
-    beside = mesh.topology.connectivity(dim - 1, dim)
-    cells, starts = np.asarray(beside.array), np.asarray(beside.offsets)
-    found = np.union1d(cells[starts[facets]], cells[starts[facets + 1] - 1])
-    return found[found < own_cells(mesh)]
 
 
 def cut_parts(simplices: Simplices) -> list[str]:

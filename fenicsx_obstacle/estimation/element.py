@@ -11,7 +11,6 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
-from fenicsx_obstacle.estimation.boundary_values import BoundaryValues
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects, proved
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
@@ -22,7 +21,7 @@ from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.matrix_tension import MatrixTension
 from fenicsx_obstacle.estimation.oscillation import Oscillation
-from fenicsx_obstacle.estimation.pieces import Range
+from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
@@ -54,8 +53,7 @@ class Terms:
         energy: ||mu^(1/2) grad u_h||_T^2.
         admissible: v_h at local dofs.
         crossing: By how much obstacles cross each other, or what is given, between the nodes.
-        lacking: As `rest`, of what foundations, fluxes and springs are beyond what the solver makes of them; None: of
-            nothing.
+        lacking: As `rest`, of what foundations, fluxes and springs are beyond what the solver makes of them.
     """
 
     flux: FluxP1 | FluxP2
@@ -73,7 +71,7 @@ class Terms:
     energy: np.ndarray
     admissible: np.ndarray = field(repr=False)
     crossing: float
-    lacking: np.ndarray | None = None
+    lacking: np.ndarray
 
 
 class Element(ABC):
@@ -107,8 +105,7 @@ class Element(ABC):
         """
         self.equilibration, self.simplices = equilibration, equilibration.simplices
         self.tension = tension_in_cells(equilibration)
-        ends = self.simplices.dim == 1
-        self.dirichlet = BoundaryValues(self.simplices) if ends else BoundaryData(self.simplices, middles)
+        self.dirichlet = BoundaryData(self.simplices, middles)
         load, degree = load_of(self.simplices.data), 0 if middles is None else 1
         self.oscillation = Oscillation(self.simplices, equilibration.load, load, degree)
         equilibration.load.forget_polynomials()
@@ -128,7 +125,7 @@ class Element(ABC):
         """The constant, infinite where none is known (collective)."""
         return self.held.friedrichs() / sqrt(smallest(self.simplices.data.level.comm, self.tension.least))
 
-    def _range(self, obstacle: Field) -> Range:
+    def _range(self, obstacle: Field) -> Pieces:
         """Bounds of an obstacle in the cells."""
         simplices = self.simplices
         return range_of(simplices.data, obstacle, simplices.x, np.arange(len(simplices.area)))
@@ -167,14 +164,14 @@ class Element(ABC):
         return limits[1], limits[-1]
 
     @property
-    def given_obstacles(self) -> list[tuple[float, Field, Range]]:
+    def given_obstacles(self) -> list[tuple[float, Field, Pieces]]:
         """The obstacles as `obstacles_of` has them, cut off beyond the reach of u, and their bounds in the cells."""
-        found: list[tuple[float, Field, Range]] = []
+        found: list[tuple[float, Field, Pieces]] = []
         for sign, obstacle in obstacles_of(self.simplices.data):
             limit, known = self.reach[0] if sign > 0 else self.reach[1], self._ranges[sign]
             if np.isfinite(limit):
                 cut = Clipped(obstacle, sign, limit)
-                found.append((sign, cut, Range(cut.clip(known.lower), cut.clip(known.upper), known.sampled)))
+                found.append((sign, cut, Pieces([], cut.clip(known.lower), cut.clip(known.upper), known.sampled)))
             else:
                 found.append((sign, obstacle, known))
         return found

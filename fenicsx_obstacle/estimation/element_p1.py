@@ -153,7 +153,7 @@ class ElementP1(Element):
         by_reaction = np.divide(1, np.sqrt(k), out=np.full(len(k), np.inf), where=k > 0)
         weight, local = np.minimum(load.poincare / np.sqrt(least), by_reaction), by_reaction <= friedrichs
         alone, rest = reaction.beyond(u, np.zeros(self.simplices.dofs.shape))
-        together = reaction.beyond(u, self._linear_load)[0] + load.beyond
+        together = reaction.beyond(u, load.linear(slice(None)))[0] + load.beyond
         rest += simplices.area / np.sqrt(simplices.size) * np.abs(flux.averaged)
         inside[local] += by_reaction[local] * rest[local]
         outside += np.where(local, 0.0, rest)
@@ -172,11 +172,6 @@ class ElementP1(Element):
         local = self.tension.poincare[known] * self.equilibration.load.oscillation[known]
         found[known] = np.minimum(found[known], local)
         return found + points
-
-    @cached_property
-    def _linear_load(self) -> np.ndarray:
-        """Of the linear part of the load less its mean in each cell the values at the vertices."""
-        return self.oscillation.linear(slice(None))
 
     def _reaction_energy(self, e: np.ndarray) -> np.ndarray:
         """A bound of the energy of foundations and springs, twice, in each cell, of a P1 function."""

@@ -13,20 +13,19 @@ from functools import reduce
 import numpy as np
 
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
 from fenicsx_obstacle.estimation.lattice_obstacle import LatticeObstacle
 from fenicsx_obstacle.estimation.rt1 import GRAMS, MASS, metric, reference_fields
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.estimation.triangle_lattice import MEANS, NODES, POINTS, PRODUCTS, SLOPES, SMALL
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes, with_ghosts
 
 
 class ElementP2(Element):
     """P2 on one mesh: what depends on mesh and data alone is made once."""
 
     equilibration: EquilibrationP2
-    dirichlet: BoundaryData
     obstacles: list[LatticeObstacle]
     has_samples = True
 
@@ -68,6 +67,7 @@ class ElementP2(Element):
             oscillation=oscillation, contact=contact,
             moved=moved, cover=self.tension.most * cover, raised=none, penetration=self._energy(self._penetration()),
             rest=rest, solver_rest=rest, energy=self._least_energy(u), admissible=v, crossing=crossing,
+            lacking=none,
         )  # fmt: skip
 
     def _gap(self, u: np.ndarray, side: LatticeObstacle) -> np.ndarray:
@@ -167,11 +167,9 @@ class ElementP2(Element):
         below, above = (np.maximum(-np.where(np.isfinite(gap), gap, 0.0), 0.0) for gap in gaps)
         beyond = with_ghosts(self.problem.level.V, below - above)
         middles = beyond[equilibration.nodes[:, 3:]]
-        around = np.zeros((len(middles), 6))
-        around[:, :3] = (middles.sum(axis=1, keepdims=True) - middles) / 2
-        flags = np.zeros_like(around)
-        flags[:, :3] = 1.0
-        sums, counts = equilibration.around.sums(around), equilibration.around.sums(flags)
+        around = AroundNodes(self.problem.level.V, equilibration.nodes[:, :3])
+        sums = around.sums((middles.sum(axis=1, keepdims=True) - middles) / 2)
+        counts = around.sums(np.ones(middles.shape))
         found = np.where(counts > 0, sums / np.maximum(counts, 1.0), beyond)
         found[self.problem.data.fixed[0]] = 0.0
         return found

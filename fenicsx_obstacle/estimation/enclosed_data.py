@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import reduce
 from math import factorial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.pieces import Group, Pieces, Range
+from fenicsx_obstacle.estimation.pieces import Group, Pieces
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
 from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges, sizes
 
@@ -74,7 +73,7 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
         division: When simplices are divided.
     """
     here, names = data.here(datum), data.names(datum)
-    found = _Collected(len(corners), corners.shape[1])
+    found = _Collected(len(corners))
     if datum.uniform:
         found.number(here.at(np.zeros((3, 1)), names)[0])
         return found.pieces()
@@ -84,13 +83,15 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
     last = max(DEEPEST, division.depth)
     for split in range(last + 1):
         wanted, count = [], 0
-        for some, near in _looks(here, names, parts, division, continuous=datum.continuous):
+        for block in blocks(len(parts.rows)):
+            some = parts[block]
+            near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=datum.continuous)
             found.sampled |= near.sampled
-            open_ = near.settled & near.open(division, some)
+            open_ = near.open(division, some)
             found.rough[some.rows[open_]] = True
             large = (some.share > division.share) | near.whole
             divided = open_ & ((~near.finite & (split < DEEPEST)) | (large & (split < division.depth)))
-            found.take(some, near, near.settled & ~divided)
+            found.take(some, near, ~divided)
             if divided.any():
                 wanted.append((some, near, divided))
                 count += parts.times * np.count_nonzero(divided)
@@ -102,7 +103,8 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
             break
         if not wanted:
             break
-        parts = reduce(Parts.with_, (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted))
+        first, *others = (near.divided(some, np.flatnonzero(divided)) for some, near, divided in wanted)
+        parts = first.and_(*others)
     return found.pieces()
 
 
@@ -118,50 +120,27 @@ def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray,
     )  # fmt: skip
 
 
-def _looks(
-    here: Field, names: Names, parts: Parts, division: Division, *, continuous: bool
-) -> Iterator[tuple[Parts, _Near]]:
-    """Parts and what is near a datum there: of many of them first by intervals alone, then again, of all together, of
-    those where that does not settle it."""
-    many, blurred = len(parts.rows) > AT_ONCE, []
-    for block in blocks(len(parts.rows)):
-        some = parts[block]
-        near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous, first=many)
-        blurred.append(block.start + np.flatnonzero(~near.settled))
-        yield some, near
-    unsettled = np.concatenate(blurred)
-    for block in blocks(len(unsettled)):
-        some = parts[unsettled[block]]
-        yield some, _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=continuous)
-
-
 def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
     """A datum on simplices; samples of it where no bounds are known."""
     return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
 
 
-def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Range:
+def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Pieces:
     """Bounds of a datum (collective where it is the first to need the distance); the arguments are those of
     `pieces_of`. Simplices without finite bounds are divided."""
     here, names = data.here(datum), data.names(datum)
     if datum.uniform:
         number = np.full(len(cells), here.at(np.zeros((3, 1)), names)[0])
-        return Range(number, number, sampled=False)
+        return Pieces([], number, number, sampled=False)
     lower, upper, sampled = np.empty(len(cells)), np.empty(len(cells)), False
-    blurred = np.zeros(len(cells), dtype=bool)
     for block in blocks(len(cells)):
         known = _enclosed(here, names, corners[block], cells[block])
         sampled |= isinstance(known, _Samples)
-        bounds, blurred[block] = known.by_intervals()
-        lower[block], upper[block] = _defined(bounds)
-    unsettled = np.flatnonzero(blurred)
-    for block in blocks(len(unsettled)):
-        rows = unsettled[block]
-        lower[rows], upper[rows] = _defined(_enclosed(here, names, corners[rows], cells[rows]).once())
+        lower[block], upper[block] = _defined(known.once())
     infinite = np.flatnonzero(~(np.isfinite(lower) & np.isfinite(upper)))
     divided = pieces_of(data, datum, corners[infinite], cells[infinite], Division(0))
     lower[infinite], upper[infinite] = divided.lower, divided.upper
-    return Range(lower, upper, sampled)
+    return Pieces([], lower, upper, sampled)
 
 
 def _defined(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
@@ -172,52 +151,45 @@ def _defined(bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
 class _Collected:
     """Parts found so far."""
 
-    def __init__(self, count: int, corners: int):
-        self.count, self.corners, self.sampled = count, corners, False
+    def __init__(self, count: int):
+        self.count, self.sampled = count, False
         self.rough = np.zeros(count, dtype=bool)
-        self._found: dict[tuple[int, bool, bool], list[tuple[Any, ...]]] = {}
+        self._found: dict[tuple[int, bool, bool], list[Group]] = {}
 
     def number(self, value: float) -> None:
         """The same on all simplices."""
-        same, none = np.full(self.count, value), np.zeros(self.count)
-        all_of_it = np.ones(self.count)
-        self._found[0, True, True] = [(np.arange(self.count), None, all_of_it, same[:, None], none, same, same, none)]
+        same, none, rows = np.full(self.count, value), np.zeros(self.count), np.arange(self.count)
+        group = Group(rows, None, np.ones(self.count), 0, same[:, None], none, same, same, none, smooth=True)
+        self._found[0, True, True] = [group]
 
     def take(self, parts: Parts, near: _Near, wanted: np.ndarray) -> None:
         """What is near the datum on some of the parts."""
         for degree, smooth, chosen, coefficients in near.polynomials(wanted):
             if len(chosen):
                 inside = None if parts.inside is None else parts.inside[chosen]
-                self._found.setdefault((degree, smooth, inside is None), []).append((
-                    parts.rows[chosen], inside, parts.share[chosen], coefficients, near.rest[chosen],
-                    near.lower[chosen], near.upper[chosen], near.steep[chosen],
-                ))  # fmt: skip
+                group = Group(
+                    parts.rows[chosen], inside, parts.share[chosen], degree, coefficients, near.rest[chosen],
+                    near.lower[chosen], near.upper[chosen], near.steep[chosen], smooth,
+                )  # fmt: skip
+                self._found.setdefault((degree, smooth, inside is None), []).append(group)
 
     def pieces(self) -> Pieces:
         """All of it."""
-        lower, upper, groups = np.full(self.count, np.inf), np.full(self.count, -np.inf), []
-        for (degree, smooth, whole), parts in self._found.items():
-            for some in _together(parts):
-                rows, corners, share, coefficients, rest, low, high, steep = some
-                group = Group(
-                    rows, None if whole else corners, share, degree, coefficients, rest, low, high, steep, smooth
-                )
-                group.lower_to(lower, group.lower)
-                group.raise_to(upper, group.upper)
-                groups.append(group)
+        lower, upper = np.full(self.count, np.inf), np.full(self.count, -np.inf)
+        groups = [group for found in self._found.values() for group in _together(found)]
+        for group in groups:
+            group.lower_to(lower, group.lower)
+            group.raise_to(upper, group.upper)
         return Pieces(groups, lower, upper, self.sampled, self.rough)
 
 
-def _together(found: list[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-    """Arrays of parts joined to arrays of `AT_ONCE` parts at most; larger ones stay as they are, without a copy."""
+def _together(found: list[Group]) -> Iterator[Group]:
+    """Parts joined to groups of `AT_ONCE` parts at most; larger ones stay as they are, without a copy."""
     while found:
-        sizes_ = np.cumsum([len(parts[0]) for parts in found])
+        sizes_ = np.cumsum([len(group.rows) for group in found])
         count = max(int(np.searchsorted(sizes_, AT_ONCE, "right")), 1)
-        some, found = found[:count], found[count:]
-        if count == 1:
-            yield some[0]
-        else:
-            yield tuple(None if arrays[0] is None else np.concatenate(arrays) for arrays in zip(*some, strict=True))
+        (first, *others), found = found[:count], found[count:]
+        yield first.and_(*others) if others else first
 
 
 class _Near:
@@ -225,7 +197,6 @@ class _Near:
 
     Attributes:
         sampled: Whether this comes from samples.
-        settled: Whether a second look would find the same.
         lower: Lower bound, infinite where none is known.
         upper: Upper bound.
         finite: Whether both are finite.
@@ -234,7 +205,7 @@ class _Near:
         steep: As in `Group`.
     """
 
-    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool, first: bool = False):
+    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool):
         """Look for polynomials.
 
         Args:
@@ -242,11 +213,9 @@ class _Near:
             parts: Where.
             division: Says which interpolants are good enough.
             continuous: Whether it is, for sure.
-            first: Whether bounds are found by intervals alone.
         """
         self._known, self._corners, self.sampled = known, parts.x.shape[1], isinstance(known, _Samples)
-        bounds, blurred = known.by_intervals() if first else (known.once(), np.zeros(len(parts.rows), dtype=bool))
-        self.settled = ~blurred
+        bounds = known.once()
         within = replace(
             bounds, lower=np.maximum(bounds.lower, parts.least), upper=np.minimum(bounds.upper, parts.most)
         )
@@ -254,16 +223,16 @@ class _Near:
         self.finite = np.isfinite(self.lower) & np.isfinite(self.upper)
         self.whole = bounds.whole
         self._found: list[tuple[int, np.ndarray, np.ndarray]] = []
-        constant = self.finite & self.settled & (self.upper == self.lower) & (not self.sampled)
+        constant = self.finite & (self.upper == self.lower) & (not self.sampled)
         self.rest, self.steep = self._half(), np.where(constant, 0.0, np.inf)
-        smooth = bounds.whole & self.finite & self.settled
+        smooth = bounds.whole & self.finite
         exact = smooth & (bounds.degree <= polynomials.MAX_DEGREE)
         for degree in np.unique(bounds.degree[exact]):
             rows = np.flatnonzero(exact & (bounds.degree == degree))
             self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
         if (smooth & ~exact).any():
             self._smooth(np.flatnonzero(smooth & ~exact), bounds, parts.x, division)
-        others = self.finite & self.settled & ~exact & (self.upper > self.lower)
+        others = self.finite & ~exact & (self.upper > self.lower)
         for _, chosen, _ in self._found:
             others[chosen] = False
         cut = np.flatnonzero(others)
@@ -349,14 +318,14 @@ class _Near:
 
     def divided(self, parts: Parts, chosen: np.ndarray) -> Parts:
         """Some parts divided: along the line where a condition changes, if one is known, or halved."""
-        within = parts[chosen].within(self.lower[chosen], self.upper[chosen])
+        within = replace(parts[chosen], least=self.lower[chosen], most=self.upper[chosen])
         if not len(chosen):
             return within.halved()
         values, rest = self._known.cuts(chosen)
         levels = APART * rest
         line = levels < NARROW * np.ptp(values, axis=1)
         levels = np.where(levels <= EXACT * polynomials.row_size(values), 0.0, levels)
-        return within[line].cut(values[line], levels[line]).with_(within[~line].halved())
+        return within[line].cut(values[line], levels[line]).and_(within[~line].halved())
 
     def polynomials(self, wanted: np.ndarray) -> Iterator[tuple[int, bool, np.ndarray, np.ndarray]]:
         """Degree, whether they are interpolants, parts and coefficients, of those that are wanted."""
@@ -381,12 +350,8 @@ def _scale(degree: int, size: np.ndarray, bound: np.ndarray) -> np.ndarray:
 
 def _steepness(corners: int, degree: int, size: np.ndarray, height: np.ndarray, bound: np.ndarray) -> np.ndarray:
     """Bound of the gradient of a datum minus its interpolant; the arguments are those of `_Near._near`."""
-    return _quotient(polynomials.STEEPNESS[corners][degree] * _scale(degree, size, bound), height, np.inf)
-
-
-def _quotient(a: np.ndarray, b: np.ndarray, otherwise: float) -> np.ndarray:
-    """a/b, and a number where b is 0."""
-    return np.divide(a, b, out=np.full(len(a), otherwise), where=b > 0)
+    steep = polynomials.STEEPNESS[corners][degree] * _scale(degree, size, bound)
+    return np.divide(steep, height, out=np.full(len(steep), np.inf), where=height > 0)
 
 
 @dataclass(frozen=True, eq=False)

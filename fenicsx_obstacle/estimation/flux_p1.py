@@ -37,7 +37,8 @@ from fenicsx_obstacle.estimation.part_forces import part_forces
 from fenicsx_obstacle.estimation.patch_flux import PatchFlux
 from fenicsx_obstacle.estimation.point_forces import PointForces
 from fenicsx_obstacle.estimation.reactions import Reaction
-from fenicsx_obstacle.estimation.simplices import Simplices, with_ghosts
+from fenicsx_obstacle.estimation.simplices import Simplices
+from fenicsx_obstacle.mesh.around_nodes import with_ghosts
 from fenicsx_obstacle.parallel import total
 
 STIFF = 5.0  # k |T|^(2/d)/tension, from which forces are averaged around vertices

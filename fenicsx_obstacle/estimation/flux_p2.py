@@ -25,8 +25,8 @@ from fenicsx_obstacle.estimation.patch_systems import PatchSystems
 from fenicsx_obstacle.estimation.patches import Patches
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import FORMS, MASS, MIDDLES, PULLS, against_nodes, metric
-from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous, with_ghosts
-from fenicsx_obstacle.mesh.around_nodes import AroundNodes
+from fenicsx_obstacle.estimation.simplices import Simplices, next_, previous
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes, with_ghosts
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,6 @@ class EquilibrationP2:
         simplices: The owned cells, with the dofs of P1.
         patches: Their corners around the vertices.
         apart: Of the patches.
-        around: The cells around the nodes of P2.
         nodes: Local dofs of P2 at the vertices of each cell and at the middles opposite to them, shape (cells, 6).
         mu: Mean tension of each cell, as the solver has it.
         load: Its moments are int f psi_j psi_k, shape (cells, 3, 3), its oscillation ||f - Pi_1 f||_T.
@@ -73,8 +72,8 @@ class EquilibrationP2:
         self.nodes = simplices.turned_nodes(releases.cell_dofs(self.level.V)[: len(simplices.area)])
         self._sample_tension(data)
         self.load = Load(simplices, data, tests=lambda points: points[:, :, None] * points[:, None])
-        self.around = AroundNodes(self.level.V, self.nodes)
-        self.missing = self.around.sums(against_nodes(self.load.missing))[: self.level.owned]
+        around = AroundNodes(self.level.V, self.nodes)
+        self.missing = around.sums(against_nodes(self.load.missing))[: self.level.owned]
         self.patches = Patches(simplices)
         self.apart = self.patches.apart
         self._middles = AroundNodes(self.level.V, self.nodes[:, 3:])
@@ -105,10 +104,10 @@ class EquilibrationP2:
         entries = {(u, v): patches.gather(form[:, :, u, v])[0] for u in range(3) for v in range(u, 3)}
         self._of_first = np.stack([entries[0, u] for u in range(3)])
         # the circulation around the vertex, and the moments on the edges through which it enters and leaves
-        edges, patch, count = patches.facets(simplices)
+        edges, patch = patches.facets(simplices)
         around = np.arange(len(patches.vertex))
         numbers = np.column_stack([patches.patch, len(around) + edges[:, 1], len(around) + edges[:, 0]])
-        zero = np.zeros(len(around) + count, dtype=bool)
+        zero = np.zeros(len(around) + len(patch), dtype=bool)
         zero[patches.patch[patches.free_boundary.any(axis=1)]] = True
         zero[len(around) + edges[patches.free_boundary]] = True
         products = ((u, v, values) for (u, v), values in entries.items())
@@ -143,7 +142,7 @@ class EquilibrationP2:
         R = K - inside  # int div sigma^a psi_j
         pulls = self._pulls(u, gradient, K, R, drops)
         drops, *pulls = patches.gather(drops, *pulls)
-        fluxes = patches.walk(drops)
+        fluxes = patches.trees.walk(drops)
         before, after = -fluxes[:, 1], fluxes[:, 0]
         round_, entering, leaving = self._systems.solve(-np.array(pulls) - self._of_first * before)
         parts = patches.scatter(before + round_, after + round_, entering, leaving)

@@ -27,6 +27,7 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.estimation.patches import pairs
 from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
 from fenicsx_obstacle.mesh.cells import cell_facets, corners, volumes
 from fenicsx_obstacle.mesh.levels import Level
@@ -58,7 +59,8 @@ def _along_paths(level: Level, starts: np.ndarray, step: np.ndarray) -> np.ndarr
         starts: Whether a path can begin in an owned cell.
         step: Of each local cell.
     """
-    beside = _neighbours(cell_facets(level.mesh))
+    facets = cell_facets(level.mesh)
+    beside = pairs(facets.ravel(), facets.max(initial=-1) + 1).reshape(facets.shape) // facets.shape[1]  # or -1
     shared = fem.Function(releases.functionspace(level.mesh, "DG", 0))
     dofs, own = releases.cell_dofs(shared.function_space)[:, 0], len(starts)
     found = np.full(len(step), np.inf)
@@ -79,14 +81,3 @@ def _along_paths(level: Level, starts: np.ndarray, step: np.ndarray) -> np.ndarr
         np.minimum.at(found, cells[new], before[new])
         found[reached] += step[reached]
     return found
-
-
-def _neighbours(facets: np.ndarray) -> np.ndarray:
-    """The local cell beyond each facet of the local cells, -1 if there is none; the shape is that of `facets`."""
-    order = np.argsort(facets, axis=None, kind="stable")
-    numbers = facets.ravel()[order]
-    same = numbers[1:] == numbers[:-1]
-    one, other = order[:-1][same], order[1:][same]
-    found = np.full(facets.size, -1)
-    found[one], found[other] = other // facets.shape[1], one // facets.shape[1]
-    return found.reshape(facets.shape)

@@ -15,7 +15,7 @@ from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
-from fenicsx_obstacle.estimation.pieces import Group, Pieces, Range
+from fenicsx_obstacle.estimation.pieces import Group, Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -102,9 +102,7 @@ class LatticeObstacle(CoveredObstacle):
     triangles with points where u is given: nothing is added there.
     """
 
-    dirichlet: BoundaryData
-
-    def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Pieces):
         """Store the obstacle and its bounds (collective); the arguments are those of `CoveredObstacle`."""
         super().__init__(simplices, dirichlet, sign, field, known)
         self._pieces: list[tuple[np.ndarray, Pieces]] = []  # of the cells enclosed so far

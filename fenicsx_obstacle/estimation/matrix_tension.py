@@ -24,6 +24,7 @@ from fenicsx_obstacle.estimation.cell_data import Fields, Tension
 from fenicsx_obstacle.estimation.certification import CellDatum
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.oscillation import poincare
+from fenicsx_obstacle.estimation.parts import Arrays, Parts
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -35,7 +36,7 @@ AT_ONCE = 4000  # parts
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
+class _Part(Arrays):
     """Parts of cells.
 
     Attributes:
@@ -65,14 +66,6 @@ class _Part:
     alpha: np.ndarray
     beta: np.ndarray
     unknown: np.ndarray
-
-    def __getitem__(self, chosen: np.ndarray) -> _Part:
-        """Some of them."""
-        return _Part(
-            self.rows[chosen], self.corners[chosen], self.share[chosen], self.degree, self.coefficients[chosen],
-            self.middle[chosen], self.root[chosen], self.rest[chosen], self.delta[chosen], self.alpha[chosen],
-            self.beta[chosen], self.unknown[chosen],
-        )  # fmt: skip
 
 
 class MatrixTension(Tension):
@@ -120,9 +113,8 @@ class MatrixTension(Tension):
 
     def known(self) -> CellDatum:
         """See `Tension.known`."""
-        none = np.zeros(len(self.least), dtype=bool)
-        wrong = self._unknown if self._symmetric else ~none
-        pieces = Pieces([], np.where(wrong, 0.0, self.least), self.most, self._sampled, none)
+        least = np.where(self._unknown, 0.0, self.least) if self._symmetric else np.zeros(len(self.least))
+        pieces = Pieces([], least, self.most, self._sampled)
         what = "may be infinite, undefined or not positive definite" if self._symmetric else (
             "is not known to be symmetric, as two entries are written differently,")  # fmt: skip
         return CellDatum("tension", pieces, f"tension {what}", least=0.0)
@@ -149,7 +141,7 @@ class MatrixTension(Tension):
         for whole in self._matrices:
             points, weights = rule(self._dim, 2 * max(whole.degree + degree - 1, degree))
             for block in blocks(len(whole.rows), AT_ONCE):
-                part = whole[np.arange(block.start, block.stop)]
+                part = whole[block]
                 g, s = fields(part.rows, points @ part.corners)
                 inverse = np.linalg.inv(part.root)
                 basis = polynomials.evaluate(np.eye(part.coefficients.shape[1]), points, part.degree)
@@ -167,26 +159,24 @@ class MatrixTension(Tension):
 
     def _enclosed(self) -> Iterator[_Part]:
         """The parts of all cells."""
-        dim, cells = self._dim, np.arange(len(self._area))
-        corners, share = np.broadcast_to(np.eye(dim + 1), (len(cells), dim + 1, dim + 1)), np.ones(len(cells))
+        dim, parts = self._dim, Parts.whole(self._simplices.x, np.arange(len(self._area)))
         for depth in range(DEPTH[dim] + 1):
             rough = []
-            for block in blocks(len(cells), AT_ONCE):
-                part = self._near(cells[block], corners[block], share[block])
+            for block in blocks(len(parts.rows), AT_ONCE):
+                part = self._near(parts[block])
                 open_ = part.unknown | (part.delta > NEAR) | (part.alpha < 1 - NEAR)
                 last = depth == DEPTH[dim] or all(entry.uniform for row in self._rows for entry in row)
                 yield part if last else part[~open_]
                 rough.append(np.flatnonzero(open_ & (not last)) + block.start)
-            chosen = np.concatenate(rough or [np.empty(0, dtype=int)])
-            cells, share = np.repeat(cells[chosen], 2**dim), np.repeat(share[chosen] / 2**dim, 2**dim)
-            corners = polynomials.halved(corners[chosen])
+            parts = parts[np.concatenate(rough or [np.empty(0, dtype=int)])].halved()
 
-    def _near(self, cells: np.ndarray, corners: np.ndarray, share: np.ndarray) -> _Part:
+    def _near(self, parts: Parts) -> _Part:
         """Polynomials and bounds on parts of cells."""
-        dim, count, data = self._dim, len(cells), self._simplices.data
+        dim, cells, data = self._dim, parts.cells, self._simplices.data
+        count = len(cells)
         entries: dict[tuple[int, int], tuple[int, np.ndarray, np.ndarray]] = {}
         for i, j in combinations_with_replacement(range(dim), 2):
-            found = pieces_of(data, self._rows[i][j], corners @ self._simplices.x[cells], cells, Division(0))
+            found = pieces_of(data, self._rows[i][j], parts.x, cells, Division(0))
             self._sampled |= found.sampled
             entries[i, j] = _single(found, count, dim + 1)
         degree = max((one[0] for one in entries.values()), default=0)
@@ -216,7 +206,9 @@ class MatrixTension(Tension):
         unknown |= alpha <= margin
         bad = np.flatnonzero(unknown)
         coefficients[bad], rest[bad], delta[bad], alpha[bad], beta[bad] = middle[bad][:, None], 0.0, 0.0, 1.0, 1.0
-        return _Part(cells, corners, share, degree, coefficients, middle, root, rest, delta, alpha, beta, unknown)
+        return _Part(
+            cells, parts.places, parts.share, degree, coefficients, middle, root, rest, delta, alpha, beta, unknown
+        )
 
 
 def _same(one: Field, other: Field) -> bool:

@@ -9,6 +9,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import cell_facets, sides
 from fenicsx_obstacle.mesh.reference_cell import Reference
 
@@ -51,24 +52,18 @@ class NormalFlux:
         self._held = np.zeros(self._facets.max(initial=-1) + 1, dtype=bool)
         for facets in (level.boundary_facets, *(level.facets[name] for name in names)):
             self._held[facets] = True
-        missing, lengths = fem.Function(level.V), fem.Function(level.V)
         cells, numbers, shares = sides(level.mesh, np.flatnonzero(self._held))
         kept = self._is_held(cells, numbers)
         cells, numbers, shares = cells[kept], numbers[kept], shares[kept]
         where = reference.on_facets(numbers, rule[0])
         phi = reference.basis(level.V, where)
         sizes = reference.facet_measures(cells, numbers, rule[0]) * rule[1]
-        dofs = self._dofs[cells]
-        flux = self.outward(cells, numbers, where)
-        np.add.at(missing.x.array, dofs, -np.einsum("fp,fp,fpn->fn", sizes, flux, phi))
-        np.add.at(lengths.x.array, dofs, np.einsum("fp,fpn->fn", sizes, phi) * shares[:, None])
-        for function in (missing, lengths):
-            releases.add_ghosts(function)
-        own = level.owned
-        self.lengths = length = lengths.x.array[:own]
+        around, own = AroundNodes(level.V, self._dofs[cells]), level.owned
+        missing = -around.sums(np.einsum("fp,fp,fpn->fn", sizes, self.outward(cells, numbers, where), phi))[:own]
+        self.lengths = length = around.sums(np.einsum("fp,fpn->fn", sizes, phi) * shares[:, None])[:own]
         found = length > 1e-9 * length.max(initial=0.0)  # nodes off the facet have none, up to round-off
         self.correction = fem.Function(level.V)
-        self.correction.x.array[:own][found] = (support + missing.x.array[:own])[found] / length[found]
+        self.correction.x.array[:own][found] = (support + missing)[found] / length[found]
         self.correction.x.scatter_forward()
 
     def values(self, cells: np.ndarray, numbers: np.ndarray, shares: np.ndarray, where: np.ndarray) -> np.ndarray:

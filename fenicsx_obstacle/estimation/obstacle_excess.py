@@ -12,11 +12,12 @@ from functools import reduce
 import numpy as np
 
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF, BoundaryValues
+from fenicsx_obstacle.estimation.boundary_data import BoundaryData
+from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF
 from fenicsx_obstacle.estimation.cell_data import in_cells
 from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
 from fenicsx_obstacle.estimation.enclosed_data import Division
-from fenicsx_obstacle.estimation.pieces import LOWEST, Pieces, Range
+from fenicsx_obstacle.estimation.pieces import LOWEST, Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, total
 
@@ -34,7 +35,7 @@ class ObstacleExcess(CoveredObstacle):
             integrals if they have one.
     """
 
-    def __init__(self, simplices: Simplices, dirichlet: BoundaryValues, sign: float, field: Field, known: Range):
+    def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Pieces):
         """Compare it with its interpolant (collective); the arguments are those of `CoveredObstacle`."""
         super().__init__(simplices, dirichlet, sign, field, known)
         self.nodal = sign * self.heights(simplices.data)

@@ -227,8 +227,7 @@ def part_forces(
     share = np.where(outer, 1.0, 0.5)
     nodal[0] += (at_vertices[cells, sides] / share)[:, None]
     return PartForces(
-        simplices, cells, sides, share, sizes(x) if dim > 1 else np.ones(len(cells)), corners,
-        nodal, tuple(pieces), ~simplices.held[cells, sides],
+        simplices, cells, sides, share, sizes(x), corners, nodal, tuple(pieces), ~simplices.held[cells, sides],
         None if simplices.radius is None else simplices.radius[cells[:, None], corners],
     )  # fmt: skip
 

@@ -1,8 +1,9 @@
-"""Subdivision of segments, triangles and tetrahedra: halved, or cut along lines."""
+"""Parts of segments, triangles and tetrahedra: halved, or cut along lines."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -13,8 +14,28 @@ CLOSE = 1e-12  # of the range of a linear function over a part: where it is so n
 EMPTY = 1e-14  # share of a part that is round-off
 
 
+class Arrays:
+    """A dataclass of arrays with as many rows each, and of what all rows share."""
+
+    def __getitem__(self, chosen: np.ndarray | slice) -> Self:
+        """Some of the rows."""
+        return self._with({name: values[chosen] for name, values in self._arrays.items()})
+
+    def and_(self, *others: Self) -> Self:
+        """These rows and others."""
+        every = [self._arrays, *(other._arrays for other in others)]
+        return self._with({name: np.concatenate([arrays[name] for arrays in every]) for name in every[0]})
+
+    def _with(self, arrays: dict[str, np.ndarray]) -> Self:
+        return type(self)(**{**vars(self), **arrays})
+
+    @property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+
+
 @dataclass(frozen=True, eq=False)
-class Parts:
+class Parts(Arrays):
     """Parts of simplices.
 
     Attributes:
@@ -51,20 +72,14 @@ class Parts:
         """Number of parts into which one is halved."""
         return 2 ** (self.size - 1)
 
-    def __getitem__(self, chosen: np.ndarray | slice) -> Parts:
-        inside = None if self.inside is None else self.inside[chosen]
-        return Parts(
-            self.rows[chosen], self.cells[chosen], self.x[chosen], inside, self.share[chosen], self.least[chosen],
-            self.most[chosen],
-        )  # fmt: skip
-
     def _replaced(self, source: np.ndarray, x: np.ndarray, inside: np.ndarray, share: np.ndarray) -> Parts:
         """Parts of these parts."""
         rows, cells, least, most = (a[source] for a in (self.rows, self.cells, self.least, self.most))
         return Parts(rows, cells, x, inside, self.share[source] * share, least, most)
 
     @property
-    def _inside(self) -> np.ndarray:
+    def places(self) -> np.ndarray:
+        """`inside`, of whole simplices too."""
         if self.inside is not None:
             return self.inside
         return np.broadcast_to(np.eye(self.size), (len(self.rows), self.size, self.size))
@@ -73,7 +88,7 @@ class Parts:
         """With their edges halved."""
         source = np.repeat(np.arange(len(self.rows)), self.times)
         share = np.full(len(source), 1 / self.times)
-        return self._replaced(source, polynomials.halved(self.x), polynomials.halved(self._inside), share)
+        return self._replaced(source, polynomials.halved(self.x), polynomials.halved(self.places), share)
 
     def cut(self, values: np.ndarray, levels: np.ndarray) -> Parts:
         """Cut where linear functions are at given distances from 0, on both sides.
@@ -113,21 +128,8 @@ class Parts:
         whole_x = self.x[source[small]]
         filled[small] = least_heights(weights[small] @ whole_x) > CLOSE * longest_edges(whole_x)
         source, weights, share = source[filled], weights[filled], share[filled]
-        parts = self._replaced(source, weights @ self.x[source], weights @ self._inside[source], share)
+        parts = self._replaced(source, weights @ self.x[source], weights @ self.places[source], share)
         return parts, (weights @ values[source][..., None])[..., 0], np.abs(levels[source])
-
-    def within(self, least: np.ndarray, most: np.ndarray) -> Parts:
-        """The same parts with other bounds."""
-        return replace(self, least=least, most=most)
-
-    def with_(self, other: Parts) -> Parts:
-        """These and others."""
-        joint = (np.concatenate(pair) for pair in zip(self._arrays, other._arrays, strict=True))
-        return Parts(*joint)
-
-    @property
-    def _arrays(self) -> tuple[np.ndarray, ...]:
-        return self.rows, self.cells, self.x, self._inside, self.share, self.least, self.most
 
 
 # the parts of simplices by how many corners are on one side: these come first. After the corners stand the places where

@@ -57,14 +57,14 @@ class PatchFlux:
             return
         self._gram = self._weigh(simplices)
         if dim == 2:
-            numbers, owner, count = patches.patch[:, None], np.arange(len(patches.vertex)), len(patches.vertex)
+            numbers, owner = patches.patch[:, None], np.arange(len(patches.vertex))
         else:
-            numbers, owner, count = patches.edges(simplices)
-        zero = np.zeros(count, dtype=bool)
+            numbers, owner = patches.edges(simplices)
+        zero = np.zeros(len(owner), dtype=bool)
         for k in range(dim):  # functions that flow through a facet
             through = [j for j, both in enumerate(self._streams) if k in both]
             zero[numbers[patches.free_boundary[:, k]][:, through]] = True
-        self._systems = PatchSystems(numbers, owner, zero, self._products(simplices), up_to_constants=dim == 3)
+        self._systems = PatchSystems(numbers, owner, zero, self._products(), up_to_constants=dim == 3)
 
     def nearest(self, drops: np.ndarray, beta: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The sum of the fluxes on all patches, (E11) (collective).
@@ -80,7 +80,7 @@ class PatchFlux:
             The fluxes out of cells, as `FluxP1` has them.
         """
         patches, parts = self._patches, self._parts
-        at_corners = patches.scatter(*patches.walk(patches.gather(drops)[0]).T)
+        at_corners = patches.scatter(*patches.trees.walk(patches.gather(drops)[0]).T)
         for a, others in enumerate(self._others):
             for flux, k in zip(at_corners, others, strict=True):
                 there = parts.sides == k
@@ -99,7 +99,8 @@ class PatchFlux:
     def _weigh(self, simplices: Simplices) -> np.ndarray:
         """int mu^(-1) tau_i . tau_j of the fluxes tau_i that flow 1 out opposite to vertex i, up to one number in each
         cell, shape (d + 1, d + 1, cells) (local)."""
-        y, count = self._from_middle(simplices), len(self._others)
+        from_middle, count = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0), len(self._others)
+        y = [np.ascontiguousarray(from_middle[:, :, k]) for k in range(count)]
         found = np.empty((count, count, len(simplices.area)))
         for i in range(count):
             weighted = self._weighted(y[i]) / (simplices.dim**2 * simplices.area)
@@ -121,19 +122,13 @@ class PatchFlux:
                 right[:, a] = reduce(np.add, ((gram[i, k] - gram[j, k]) * one for k, one in away))
         return found
 
-    def _products(self, simplices: Simplices) -> Iterator[tuple[int, int, np.ndarray]]:
+    def _products(self) -> Iterator[tuple[int, int, np.ndarray]]:
         """int mu^(-1) C . C of two functions at the corners (collective)."""
-        y, streams, scale = self._from_middle(simplices), self._streams, 1 / (simplices.dim**2 * simplices.area)
+        streams, gram = self._streams, self._gram
         for i in range(len(streams)):
             for j in range(i, len(streams)):
-                part = np.empty((len(scale), len(self._others)))
+                part = np.empty((gram.shape[2], len(self._others)))
                 for a, others in enumerate(self._others):
-                    one, other = (y[others[streams[k][1]]] - y[others[streams[k][0]]] for k in (i, j))
-                    part[:, a] = np.einsum("xc,xc->c", one, self._weighted(other)) * scale
+                    (out, into), (there, back) = ([others[k] for k in streams[m]] for m in (i, j))
+                    part[:, a] = gram[out, there] - gram[out, back] - gram[into, there] + gram[into, back]
                 yield i, j, self._patches.gather(part)[0]
-
-    @staticmethod
-    def _from_middle(simplices: Simplices) -> list[np.ndarray]:
-        """Coordinates of each vertex less those of the middle, shape (d, cells)."""
-        y = np.moveaxis(simplices.x - simplices.middle[:, None], 2, 0)
-        return [np.ascontiguousarray(y[:, :, k]) for k in range(y.shape[2])]

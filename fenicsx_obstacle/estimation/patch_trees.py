@@ -93,8 +93,8 @@ class PatchTrees:
         self._down = self._parent * dim + down[self.order] % dim
 
     def walk(self, drops: np.ndarray) -> np.ndarray:
-        """Fluxes out of the corners with sums of -drops in each, shape (corners, d); of a patch that nothing may leave
-        the drops have the sum 0."""
+        """Fluxes out of the corners with sums of -drops in each, shape (corners, d), opposite on both sides of a facet;
+        of a patch that nothing may leave the drops have the sum 0."""
         gathered = -drops
         for before, level in zip(self._levels[-2::-1], self._levels[:0:-1], strict=True):
             count = before.stop - before.start

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.estimation.patch_trees import PatchTrees, Sides
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.cells import cell_edges, own_cells
 from fenicsx_obstacle.parallel import total
 
 # the other vertices of a cell after each one
@@ -25,6 +25,7 @@ class Patches:
     """The corners of all owned vertices, in arrays ordered by depth in the trees of the patches.
 
     Attributes:
+        trees: Along which fluxes in balance are found, with values in the order of `gather`.
         free_boundary: Whether a facet with the vertex is on the boundary and u is not given on it, shape (corners, d).
         patch: The patch of each corner.
         vertex: Owned dof of each patch.
@@ -49,10 +50,10 @@ class Patches:
             self._sent = np.bincount(owner, minlength=self.comm.size)
             self._received = np.array(self.comm.alltoall(self._sent.tolist()), dtype=np.int64)
         sides = self._sides(simplices)
-        self._trees = PatchTrees(sides, data.level.owned)
-        self._order, self.patch, self.vertex = self._trees.order, self._trees.patch, self._trees.vertex
+        self.trees = trees = PatchTrees(sides, data.level.owned)
+        self._order, self.patch, self.vertex = trees.order, trees.patch, trees.vertex
         self.free_boundary = ((sides.beside < 0) & ~sides.held)[self._order]
-        closed, patches_at = self._trees.closed, np.bincount(self.vertex, minlength=data.level.owned)
+        closed, patches_at = trees.closed, np.bincount(self.vertex, minlength=data.level.owned)
         self.apart = total(self.comm, np.count_nonzero((patches_at[closed] > 1) | simplices.given[closed])) > 0
 
     def gather(self, *values: np.ndarray) -> np.ndarray:
@@ -111,66 +112,53 @@ class Patches:
         vertex, *keys = self._to_owners(self._number, *keys)
         key = np.stack(keys, axis=1).ravel()
         is_held = key % 2 > 0
-        beside = _pairs(*dense(key // 2, dim * index_map.size_global))
+        beside = pairs(*dense(key // 2, dim * index_map.size_global))
         shape = len(vertex), dim
         return Sides(vertex - self._first, beside.reshape(shape), is_held.reshape(shape))
 
-    def walk(self, drops: np.ndarray) -> np.ndarray:
-        """Fluxes out of the corners through their facets with sums of -drops in each, along the trees (local).
-
-        Args:
-            drops: At the corners.
-
-        Returns:
-            Shape (corners, d), the same number with opposite signs on both sides of a facet.
-        """
-        return self._trees.walk(drops)
-
-    def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
+    def facets(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray]:
         """The facets of each patch (collective).
 
         Returns:
             Their numbers at the corners, shape (corners, d), the same on both sides of a facet unless u is given on it;
-            the patch of each; how many there are.
+            the patch of each.
         """
         sides = self._sides(simplices)
         every = np.arange(sides.beside.size).reshape(sides.beside.shape)
-        first = np.minimum(every, np.where((sides.beside >= 0) & ~sides.held, sides.beside, every))
-        numbers, count = dense(first[self._order].ravel(), every.size)
-        numbers = numbers.reshape(every.shape)
-        patch = np.empty(count, dtype=np.int64)
-        patch[numbers] = self.patch[:, None]
-        return numbers, patch, count
+        beside = np.where((sides.beside >= 0) & ~sides.held, sides.beside, every)
+        return self._numbered(np.minimum(every, beside), every.size)
 
-    def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray, int]:
+    def edges(self, simplices: Simplices) -> tuple[np.ndarray, np.ndarray]:
         """The edges from each vertex to the others of its corners, of tetrahedra (collective).
 
         Facets on which u is given may divide the cells around an edge: each patch has edges of its own.
 
         Returns:
             Their numbers at the corners, shape (corners, 3), which begin anew at each rank and are different for the
-            two ends of an edge; the patch of each; how many there are.
+            two ends of an edge; the patch of each.
         """
         mesh = simplices.data.level.mesh
-        mesh.topology.create_entities(1)
-        mesh.topology.create_connectivity(3, 1)
-        local = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[: own_cells(mesh)]
+        local = cell_edges(mesh)[: own_cells(mesh)]
         index_map = mesh.topology.index_map(1)
         number = np.asarray(index_map.local_to_global(local.astype(np.int32).ravel()), dtype=np.int64).reshape(-1, 6)
         between, others, every, keys = simplices.edges(number), np.array(OTHERS[3]), np.arange(4), []
         for there in others.T:
             upper = self._number > self._number[:, there]
             keys.append(2 * between[:, every, there] + upper)
-        found = np.stack(self._to_owners(*keys), axis=1)
-        numbers, count = dense(found.ravel(), 2 * index_map.size_global)
-        numbers = numbers.reshape(found.shape)[self._order]
+        return self._numbered(np.stack(self._to_owners(*keys), axis=1), 2 * index_map.size_global)
+
+    def _numbered(self, keys: np.ndarray, limit: int) -> tuple[np.ndarray, np.ndarray]:
+        """What has a key below a limit, given as corners come to their owners: numbers at the corners, and the patch of
+        each (local)."""
+        numbers, count = dense(keys[self._order].ravel(), limit)
+        numbers = numbers.reshape(keys.shape)
         patch = np.empty(count, dtype=np.int64)
         patch[numbers] = self.patch[:, None]
         if np.any(patch[numbers] != self.patch[:, None]):  # patches with a common edge
             both = numbers.astype(np.int64) * len(self.vertex) + self.patch[:, None]
             every, numbers = np.unique(both, return_inverse=True)
             numbers, patch = numbers.reshape(both.shape), every % len(self.vertex)
-        return numbers, patch, len(patch)
+        return numbers, patch
 
 
 def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
@@ -181,7 +169,7 @@ def dense(keys: np.ndarray, limit: int) -> tuple[np.ndarray, int]:
     return numbers[keys] - 1, int(numbers[-1]) if limit else 0
 
 
-def _pairs(keys: np.ndarray, count: int) -> np.ndarray:
+def pairs(keys: np.ndarray, count: int) -> np.ndarray:
     """Of each of the numbers below `count` the place where the same one stands once more, -1 if it does not."""
     every = np.arange(1, len(keys) + 1)
     places = np.bincount(keys, every, count).astype(np.int64)  # the sum of both

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.estimation.parts import Arrays
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.simplex_geometry import inward, least_heights, sizes
@@ -23,7 +24,7 @@ LOWEST = -1e300  # where no lower bound is known
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class Group(Arrays):
     """Parts of simplices on which a datum is near polynomials of one degree.
 
     Attributes:
@@ -169,32 +170,24 @@ class Group:
         for block in blocks(len(self.rows)):
             yield self[block]
 
-    def __getitem__(self, chosen: np.ndarray | slice) -> Group:
-        """Some of the parts."""
-        return Group(
-            self.rows[chosen], None if self.corners is None else self.corners[chosen], self.share[chosen], self.degree,
-            self.coefficients[chosen], self.rest[chosen], self.lower[chosen], self.upper[chosen],
-            self.steep[chosen], self.smooth,
-        )  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
     """A datum on simplices.
 
     Attributes:
-        groups: The parts of all simplices.
+        groups: The parts of all simplices; empty where what it is between is enough, which costs little.
         lower: Lower bound over each simplex; infinite where none is known.
         upper: Upper bound.
         sampled: Whether all this comes from samples.
-        rough: Whether a simplex has parts that further division makes smoother.
+        rough: Whether a simplex has parts that further division makes smoother; empty without groups.
     """
 
     groups: list[Group]
     lower: np.ndarray
     upper: np.ndarray
     sampled: bool
-    rough: np.ndarray
+    rough: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     @property
     def finite(self) -> np.ndarray:
@@ -281,21 +274,6 @@ class Pieces:
             least = np.where(known, above - group.known_rest * weight, unknown[group.rows] * weight)
             group.add_to(found, group.share * least)
         return found if radius is None else found * reciprocals(radius.mean(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class Range:
-    """What a datum is between on simplices: no polynomials, so that it costs little.
-
-    Attributes:
-        lower: Lower bound over each simplex; infinite where none is known.
-        upper: Upper bound.
-        sampled: Whether all this comes from samples.
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
-    sampled: bool
 
 
 def joined(parts: list[tuple[np.ndarray, Pieces]], count: int) -> Pieces:

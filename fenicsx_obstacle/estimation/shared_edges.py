@@ -16,7 +16,7 @@ from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.simplex_geometry import sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.mesh.around_nodes import over_ranks
-from fenicsx_obstacle.mesh.cells import own_cells
+from fenicsx_obstacle.mesh.cells import cell_edges, own_cells
 from fenicsx_obstacle.parallel import total
 
 INSIDE = 1e-11  # relative shift of edge points towards the facet's centroid, where the datum is that of this facet
@@ -36,9 +36,7 @@ class SharedEdges:
             nodal: Boundary values at local dofs.
         """
         self._simplices, self._nodal, mesh = simplices, nodal, simplices.data.level.mesh
-        mesh.topology.create_entities(1)
-        mesh.topology.create_connectivity(3, 1)
-        local = mesh.topology.connectivity(3, 1).array.reshape(-1, 6)[: own_cells(mesh)]
+        local = cell_edges(mesh)[: own_cells(mesh)]
         vertices, dofs = simplices.data.level.V.dofmap.index_map, simplices.dofs.astype(np.int32)
         numbers = np.asarray(vertices.local_to_global(dofs.ravel())).reshape(dofs.shape)
         self._upward = numbers[:, :, None] < numbers[:, None]

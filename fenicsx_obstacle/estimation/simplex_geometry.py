@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from functools import reduce
 from itertools import combinations
-from math import factorial
 
 import numpy as np
+
+from fenicsx_obstacle.mesh.cells import volumes
 
 # of a tetrahedron, the corners of the facet opposite to each vertex, so that their normal points inward
 _FACETS = ((1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2))
@@ -60,13 +61,8 @@ def signed_sizes(x: np.ndarray) -> np.ndarray:
 
 
 def sizes(x: np.ndarray) -> np.ndarray:
-    """Length, area or volume of simplices, which may lie in a space of more dimensions."""
-    dim = x.shape[1] - 1
-    if dim == x.shape[2]:
-        return np.abs(signed_sizes(x))
-    edges = x[:, 1:] - x[:, :1]
-    gram = np.linalg.det(edges @ edges.transpose(0, 2, 1))
-    return np.sqrt(np.maximum(gram, 0.0)) / factorial(dim)
+    """Length, area or volume of simplices, which may lie in a space of more dimensions; 1 for points."""
+    return np.abs(signed_sizes(x)) if x.shape[1] == x.shape[2] + 1 else volumes(x)
 
 
 def longest_edges(x: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
-from dolfinx import fem
 
 from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.data.data import Data
@@ -143,7 +142,7 @@ class Simplices:
         return found
 
     def values(self, value: Field, where: np.ndarray, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """A datum at barycentric coordinates, shape (points, d + 1) or (cells, points, d + 1), of cells.
+        """A datum at barycentric coordinates, shape (points, d + 1), of cells.
 
         Collective where it is the first to need the distance.
 
@@ -153,26 +152,23 @@ class Simplices:
         chosen = np.arange(len(self.area))[cells]
         if value.parts is None:
             return self._field(value, where, chosen)
-        points = where.shape[-2]
-        found, groups = np.zeros((len(chosen), points)), self.data.level.groups
+        found, groups = np.zeros((len(chosen), len(where))), self.data.level.groups
         for name, field in value.parts.items():
             inside = np.isin(chosen, groups[name])
-            part = where if where.ndim == 2 else where[inside]
-            found[inside] = self._field(field, part, chosen[inside])
+            found[inside] = self._field(field, where, chosen[inside])
         return found
 
     def _field(self, field: Field, where: np.ndarray, cells: np.ndarray) -> np.ndarray:
         here, names = self.data.here(field), self.data.names(field)
-        found = np.empty((len(cells), where.shape[-2]))
+        found = np.empty((len(cells), len(where)))
         for block in blocks(len(cells)):
-            x = np.zeros((3, (block.stop - block.start) * where.shape[-2]))
-            w = where[None] if where.ndim == 2 else where[block]
+            x = np.zeros((3, found[block].size))
             corners = self.x[cells[block]]
             # term by term: two cells have the same point of their edge to the last digit, which a datum that jumps sees
             for axis in range(self.dim):
-                terms = (w[..., k] * corners[:, None, k, axis] for k in range(self.dim + 1))
+                terms = (where[:, k] * corners[:, None, k, axis] for k in range(self.dim + 1))
                 x[axis] = reduce(np.add, terms).ravel()
-            found[block] = here.at(x, names, np.repeat(cells[block], where.shape[-2])).reshape(-1, where.shape[-2])
+            found[block] = here.at(x, names, np.repeat(cells[block], len(where))).reshape(-1, len(where))
         return found
 
 
@@ -212,17 +208,3 @@ def integrals(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def reciprocals(values: np.ndarray) -> np.ndarray:
     """1/values, 0 where a value is 0."""
     return np.divide(1.0, values, out=np.zeros(values.shape), where=values != 0)
-
-
-def lattice(parts: int) -> np.ndarray:
-    """Barycentric coordinates of the points that divide the edges and the inside evenly, shape (n, 3)."""
-    steps = [(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]
-    return np.array(steps) / parts
-
-
-def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
-    """Values at local dofs from those at owned ones (collective)."""
-    function = fem.Function(V)
-    function.x.array[: len(owned)] = owned
-    function.x.scatter_forward()
-    return function.x.array

@@ -9,14 +9,12 @@ import numpy as np
 
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.rt1 import MASS, nodes_of, quadratics, reference_fields
-from fenicsx_obstacle.estimation.simplices import lattice
-from fenicsx_obstacle.polynomials import evaluate, from_chords, halvings
+from fenicsx_obstacle.polynomials import evaluate, exponents, from_chords, halvings
 
 DENSE = 8  # parts of an edge, a power of 2
 FEW = 128  # cells per block: its arrays fit into the cache of a core
 CLOSE = 4  # degree of Bernstein bounds of quadratic functions; with degree 2 they are up to twice as large
-POINTS = lattice(DENSE)
-
+POINTS = exponents(3, DENSE)[::-1] / DENSE  # that divide the edges and the inside evenly
 
 TIMES = DENSE.bit_length() - 1  # halvings of the edges that give the small triangles
 # corners of the small triangles, as indices in the lattice
@@ -132,7 +130,7 @@ SLOPES, MEANS = _slopes(), _means()
 HALVES = [Halves.of(times) for times in range(TIMES)]
 PRODUCTS = _products()
 MIDDLES = POINTS[SMALL].mean(axis=1)  # of the small triangles
-COARSE = [_number(*x[1:]) for x in lattice(CLOSE)]  # points of the lattice for interpolants of this degree
+COARSE = [_number(*x[1:]) for x in exponents(3, CLOSE) / CLOSE]  # points of the lattice for interpolants of this degree
 # the Bernstein coefficients of these interpolants from values there
 FROM_COARSE = np.linalg.inv(evaluate(np.eye(len(COARSE)), POINTS[COARSE], CLOSE))
 NODES = [_number(*x) for x in ((0, 0), (1, 0), (0, 1), (0.5, 0.5), (0, 0.5), (0.5, 0))]  # those of P2 in the lattice

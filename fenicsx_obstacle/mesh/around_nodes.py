@@ -30,7 +30,7 @@ class AroundNodes:
 
     def sums(self, values: np.ndarray) -> np.ndarray:
         """Sums at local dofs of values at the nodes of cells, shape (cells, n)."""
-        found = np.bincount(self.nodes.ravel(), values.ravel(), self._count)
+        found = np.bincount(self.nodes.ravel(), values.ravel(), self._count).astype(float, copy=False)  # even of none
         return over_ranks(self._map, self.V.mesh.comm, found, PETSc.InsertMode.ADD)
 
     def largest(self, values: np.ndarray) -> np.ndarray:
@@ -69,3 +69,11 @@ def over_ranks(index_map: Any, comm: MPI.Comm, values: np.ndarray, how: PETSc.In
         found = local.array_r.copy()
     vector.destroy()
     return found
+
+
+def with_ghosts(V: fem.FunctionSpace, owned: np.ndarray) -> np.ndarray:
+    """Values at local dofs from those at owned ones (collective)."""
+    function = fem.Function(V)
+    function.x.array[: len(owned)] = owned
+    function.x.scatter_forward()
+    return function.x.array

@@ -24,24 +24,14 @@ class OnCells(Enclosed):
     def __init__(self, cells: Cells, formula: Formula):
         self.cells, self.formula = cells, formula
 
+    @cached_property
     def _walk(self) -> TreeWalk:
+        """It is kept, with all it finds."""
         return TreeWalk(self.cells, nearest_on)
 
-    @cached_property
-    def _kept(self) -> TreeWalk:
-        """One that is kept, with all it finds: for few cells."""
-        return self._walk()
-
     def once(self) -> Enclosure:
-        return self._enclosed(self._kept if self.cells.kept else self._walk())
-
-    def by_intervals(self) -> tuple[Enclosure, np.ndarray]:
-        walk = TreeWalk(self.cells)
-        return self._enclosed(walk), walk.blurred
-
-    def _enclosed(self, walk: TreeWalk) -> Enclosure:
         with np.errstate(all="ignore"):
-            found = walk.number(self.formula, self.formula.tree)
+            found = self._walk.number(self.formula, self.formula.tree)
         lower, upper, degree, whole, defined = (np.broadcast_to(part, self.cells.count) for part in found.parts)
         return Enclosure(lower, upper, degree, whole, defined, found.slopes)
 
@@ -50,15 +40,15 @@ class OnCells(Enclosed):
 
     def truth(self) -> Truth:
         with np.errstate(all="ignore"):
-            return self._walk().condition(self.formula, self.formula.tree)
+            return self._walk.condition(self.formula, self.formula.tree)
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        walk, places = among(self._kept, cells)
+        walk, places = among(self._walk, cells)
         at_corners, rest, steep = linear(walk, self.formula)
         return at_corners[places], rest[places], steep[places]
 
     def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        walk, places = among(self._kept, cells)
+        walk, places = among(self._walk, cells)
         values, rest = lines(walk, self.formula)
         return values[places], rest[places]
 

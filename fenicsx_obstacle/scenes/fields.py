@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,66 +16,55 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.data.fields import Symbols
 
 
-@dataclass(frozen=True, eq=False)
 class FormulaField(Field):
     """A formula with the definitions of its scene.
 
     Attributes:
         formula: The formula.
         vocabulary: The scene, which knows the names in it.
+        needs: Names that it uses, itself and through definitions.
     """
 
-    formula: Formula
-    vocabulary: Vocabulary
-
-    @property
-    def source(self) -> str:  # type: ignore[override]
-        return self.formula.place
-
-    @property
-    def text(self) -> str:  # type: ignore[override]
-        return self.formula.text
-
-    @property
-    def needs(self) -> set[str]:
-        """Names that it uses, itself and through definitions."""
-        return self.vocabulary.needs(self.formula)
-
-    @property
-    def uniform(self) -> bool:  # type: ignore[override]
-        return not self.needs & {*COORDINATES, "distance"}
-
-    @property
-    def moves(self) -> bool:  # type: ignore[override]
-        return TIME in self.needs
-
-    @property
-    def needs_distance(self) -> bool:  # type: ignore[override]
-        return "distance" in self.needs
-
-    @property
-    def continuous(self) -> bool:  # type: ignore[override]
-        used = [self.formula, *(one for key, one in self.vocabulary.define.items() if key in self.needs)]
-        return "theta" not in self.needs and not any(formula.may_jump for formula in used)
+    def __init__(self, formula: Formula, vocabulary: Vocabulary):
+        """See the attributes."""
+        self.formula, self.vocabulary, self.needs = formula, vocabulary, vocabulary.needs(formula)
+        self.source, self.text = formula.place, formula.text
+        self.uniform = not self.needs & {*COORDINATES, "distance"}
+        self.moves, self.needs_distance = TIME in self.needs, "distance" in self.needs
+        used = [formula, *(one for key, one in vocabulary.define.items() if key in self.needs)]
+        self.continuous = "theta" not in self.needs and not any(one.may_jump for one in used)
 
     @property
     def pointwise(self) -> bool:
         return True
 
-    def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
-        """Reject unknown names.
-
-        Raises:
-            InputError: As `Formula.check_names`.
-        """
-        self.formula.check_names(known)
-
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return self.vocabulary.at_points(self.formula, x, self._known(x, names))
 
     def margins(self, x: np.ndarray, names: Names) -> list[np.ndarray]:
+        """For each condition in the formula and in its definitions a value that is positive only where the condition
+        holds: a continuous function, whose sign decides the condition.
+
+        `a < b` has b - a, `and` the smaller of two. `abs`, `sign`, `min` and `max` have such a value too: there they
+        bend.
+        """
+        found: list[np.ndarray] = []
+
+        def record(margin: Any, value: Any) -> Any:
+            found.append(np.broadcast_to(margin, x.shape[1:]))
+            return value
+
+        more: dict[str, Callable[..., Any]] = {
+            "<": lambda a, b: b - a, "<=": lambda a, b: b - a, ">": lambda a, b: a - b, ">=": lambda a, b: a - b,
+            "==": lambda a, b: -np.abs(a - b), "!=": lambda a, b: np.abs(a - b),
+            "and": np.minimum, "or": np.maximum, "not": np.negative,
+            "where": lambda test, yes, no: record(test, np.where(test > 0, yes, no)),
+            "abs": lambda a: record(a, np.abs(a)), "sign": lambda a: record(a, np.sign(a)),
+            "min": lambda a, b: record(b - a, np.minimum(a, b)), "max": lambda a, b: record(b - a, np.maximum(a, b)),
+        }  # fmt: skip
         with np.errstate(all="ignore"):
-            return margins(self.vocabulary, self.formula, x, self._known(x, names))
+            self.vocabulary.at_points(self.formula, x, self._known(x, names), {**NUMPY, **more})
+        return found
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed:
         from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
@@ -125,36 +113,3 @@ class FormulaField(Field):
         if not self.needs_distance:
             return names
         return {**names, "distance": names["distance"](x.T)}
-
-
-def margins(scene: Vocabulary, formula: Formula, x: np.ndarray, values: Mapping[str, Any]) -> list[np.ndarray]:
-    """For each condition in a formula and in its definitions a value that is positive only where the condition holds: a
-    continuous function, whose sign decides the condition.
-
-    `a < b` has b - a, `and` the smaller of two. `abs`, `sign`, `min` and `max` have such a value too: there they bend.
-
-    Args:
-        scene: Whose formula it is.
-        formula: From `scene.formula()`.
-        x: Points, shape (3, n).
-        values: Further names, as for `Vocabulary.at_points`.
-
-    Returns:
-        Arrays of n values, as many at all points.
-    """
-    found: list[np.ndarray] = []
-
-    def record(margin: Any, value: Any) -> Any:
-        found.append(np.broadcast_to(margin, x.shape[1:]))
-        return value
-
-    more: dict[str, Callable[..., Any]] = {
-        "<": lambda a, b: b - a, "<=": lambda a, b: b - a, ">": lambda a, b: a - b, ">=": lambda a, b: a - b,
-        "==": lambda a, b: -np.abs(a - b), "!=": lambda a, b: np.abs(a - b),
-        "and": np.minimum, "or": np.maximum, "not": np.negative,
-        "where": lambda test, yes, no: record(test, np.where(test > 0, yes, no)),
-        "abs": lambda a: record(a, np.abs(a)), "sign": lambda a: record(a, np.sign(a)),
-        "min": lambda a, b: record(b - a, np.minimum(a, b)), "max": lambda a, b: record(b - a, np.maximum(a, b)),
-    }  # fmt: skip
-    scene.at_points(formula, x, values, {**NUMPY, **more})
-    return found

@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.effects.field import Bounds
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Truth
 from fenicsx_obstacle.scenes import derivative_bounds
 from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes, has_nan
 
-NO_POLYNOMIAL = 1000  # the degree of what is no polynomial
 MOST = 2.0**50  # of integers whose quotients are rounded across no integer
 _ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
 _TINY = 1e-300
@@ -31,9 +30,6 @@ class Enclosure(Bounds):
     """Bounds of a value over cells.
 
     Attributes:
-        lower: Lower bound.
-        upper: Upper bound.
-        degree: As a polynomial on the cell where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether one expression without conditions gives it on the whole cell.
         defined: Whether no root or logarithm of a negative number can occur, nor a comparison with one.
         slopes: Bounds of its derivatives; where it is not `whole` the first alone holds, on both sides of what may be a
@@ -41,11 +37,6 @@ class Enclosure(Bounds):
         square: Of a root, what it is the root of.
     """
 
-    lower: np.ndarray
-    upper: np.ndarray
-    degree: np.ndarray
-    whole: np.ndarray
-    defined: np.ndarray
     slopes: Slopes = field(default=NONE, repr=False)
     square: Enclosure | None = None
 
@@ -62,11 +53,6 @@ class Enclosure(Bounds):
     def is_number(self) -> bool:
         """Whether it is one number, the same everywhere."""
         return self.lower.ndim == 0 and bool(self.lower == self.upper)
-
-    @property
-    def finite(self) -> np.ndarray:
-        """Whether finite bounds are known and the value is defined."""
-        return np.isfinite(self.lower) & np.isfinite(self.upper) & self.defined
 
     def cut(self, where: np.ndarray) -> Enclosure:
         """The same enclosure, marked as cut by a condition on some cells."""
@@ -403,21 +389,23 @@ def extreme(name: str, a: Enclosure, b: Enclosure, above: np.ndarray, below: np.
     """
     of = np.minimum if name == "min" else np.maximum
     first, second = (below, above) if name == "min" else (above, below)  # where a, and where b, may be the result
-    picked = chosen(first | ~second, second, a, b)
+    picked = chosen(Truth(first | ~second, second), a, b)
     # it is not a number where one of the two is none, even where that one would not be the result
     bounds = of(a.lower, b.lower), of(a.upper, b.upper)
     return _beside_poles(replace(picked, lower=bounds[0], upper=bounds[1], defined=a.defined & b.defined), a, b)
 
 
-def chosen(may_hold: np.ndarray, may_fail: np.ndarray, yes: Enclosure, no: Enclosure) -> Enclosure:
+def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
     """`yes` where a condition holds, `no` where it fails, the hull where it may do both."""
+    may_hold, may_fail = truth.may_hold, truth.may_fail
     both = may_hold & may_fail
     shared = [np.where(may_hold, a, b) for a, b in zip(yes.parts, no.parts, strict=True)]
     lower = np.where(both, np.minimum(yes.lower, no.lower), shared[0])
     upper = np.where(both, np.maximum(yes.upper, no.upper), shared[1])
     either = derivative_bounds.either(may_hold, may_fail, yes.slopes, no.slopes)
     # a condition that is undecided guards its branches against roots of negative numbers
-    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, shared[4].astype(bool) | both, either)
+    defined = (shared[4].astype(bool) | both) & truth.defined
+    return Enclosure(lower, upper, shared[2], shared[3].astype(bool) & ~both, defined, either)
 
 
 Rule = Callable[[Enclosure, Enclosure], Enclosure]

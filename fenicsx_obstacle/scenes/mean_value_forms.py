@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.effects.field import Truth
 from fenicsx_obstacle.scenes import intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
-from fenicsx_obstacle.scenes.tree_walk import Cells, TreeWalk, chosen
+from fenicsx_obstacle.scenes.tree_walk import Cells, TreeWalk
 from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS
 
 FEW = 2000  # cells, for which walking through a formula costs more than arithmetic
@@ -37,7 +38,7 @@ class Form:
 def among(walk: TreeWalk, cells: np.ndarray) -> tuple[TreeWalk, np.ndarray | slice]:
     """A walk through some of its cells, to look closely there, and their places in it: the same walk, which knows much
     of them already, unless it has many more."""
-    if walk.cells.kept and walk.cells.count <= FEW + 4 * len(cells):
+    if walk.cells.count <= FEW + 4 * len(cells):
         return walk, cells
     return TreeWalk(walk.cells.of(cells), nearest_on), slice(None)
 
@@ -141,7 +142,7 @@ class _Forms:
                 return self.form(formula, operand)
             case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
                 truth, one, other = self._walk.condition(formula, test), self.form(formula, yes), self.form(formula, no)
-                return self._pairwise(one, other, lambda a, b: chosen(truth, a, b))
+                return self._pairwise(one, other, lambda a, b: intervals.chosen(truth, a, b))
             case ast.Call(func=ast.Name(id=name), args=args) if not is_condition(node):
                 return self._call(formula, node, name, args)
         return Form(self._walk.number(formula, node), self._none)
@@ -211,7 +212,7 @@ class _Forms:
         one, a = forms[0], parts[0]
         if name == "abs":
             up, down = a.upper > 0, a.lower < 0
-            slope = intervals.chosen(up, down, ONE, constant(-1.0))
+            slope = intervals.chosen(Truth(up, down), ONE, constant(-1.0))
             return _through(one, intervals.absolute(one.value, up, down), slope)
         if name in ("min", "max"):
             for other, b in zip(forms[1:], parts[1:], strict=True):
@@ -228,7 +229,8 @@ class _Forms:
     def _extreme(name: str, one: Form, other: Form, above: np.ndarray, below: np.ndarray) -> Form:
         """max(f + a, g + b) - max(f, g) is between a and b."""
         first, second = (below, above) if name == "min" else (above, below)
-        slopes = [intervals.chosen(first | ~second, second, p, q) for p, q in _pairs(one, other)]
+        truth = Truth(first | ~second, second)
+        slopes = [intervals.chosen(truth, p, q) for p, q in _pairs(one, other)]
         return Form(intervals.extreme(name, one.value, other.value, above, below), tuple(slopes))
 
     @staticmethod

@@ -19,16 +19,15 @@ from operator import and_
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Truth
+from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Truth
 from fenicsx_obstacle.scenes import derivative_bounds, intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, COMPARE, Formula, is_condition
-from fenicsx_obstacle.scenes.intervals import NO_POLYNOMIAL, Enclosure
+from fenicsx_obstacle.scenes.intervals import Enclosure
 from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS, COORDINATES, Vocabulary
 
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
 POINTS = 30_000  # in which a formula is evaluated together: what is made of them fits into the cache of a core
-KEPT = 30_000  # cells: all that is found on so many of them is kept
 Distance = Callable[[np.ndarray], np.ndarray]
 
 
@@ -46,11 +45,6 @@ class Cells:
         """Take them; see the attributes."""
         self.vocabulary, self.corners, self.distance = vocabulary, corners, distance
         self.count = len(corners)
-
-    @property
-    def kept(self) -> bool:
-        """Whether all that is found on them is kept."""
-        return self.count <= KEPT
 
     def of(self, cells: np.ndarray) -> Cells:
         """A selection of the cells."""
@@ -87,7 +81,6 @@ class TreeWalk:
     """One evaluation of a formula and of the definitions it uses.
 
     Attributes:
-        blurred: Where bounds would be sharper with `nearest`.
         undecided: Numbers whose sign was asked for, and the cells where it is not decided although no condition changes
             in them.
     """
@@ -102,7 +95,6 @@ class TreeWalk:
                 arithmetic is done where that does not tell the sign of a number.
         """
         self.cells, self.known, self._nearest = cells, dict[str, Enclosure](), nearest
-        self.blurred = np.zeros(cells.count, dtype=bool)
         self.undecided: list[tuple[Formula, np.ndarray]] = []
         self._nodes: dict[int, tuple[ast.expr, Enclosure]] = {}
         self._truths: dict[int, tuple[ast.expr, Truth]] = {}
@@ -150,7 +142,7 @@ class TreeWalk:
     def _number(self, formula: Formula, node: ast.expr) -> Enclosure:
         if is_condition(node):
             truth = self.condition(formula, node)
-            return chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
+            return intervals.chosen(truth, intervals.constant(1.0), intervals.constant(0.0))
         match node:
             case ast.Constant(value=int() | float() as value):
                 return intervals.constant(float(value))
@@ -164,7 +156,7 @@ class TreeWalk:
                 return self.number(formula, operand)
             case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
                 branches = self.number(formula, yes), self.number(formula, no)
-                return chosen(self.condition(formula, test), *branches)
+                return intervals.chosen(self.condition(formula, test), *branches)
             case ast.Call(func=ast.Name(id=name), args=args):
                 return self._call(formula, name, args)
         raise AssertionError(ast.dump(node))
@@ -206,8 +198,8 @@ class TreeWalk:
                 return intervals.absolute(a, sign.up, sign.down)
             case "sign":
                 sign = self._sign(formula, args[0], a)
-                found = chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
-                found = chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
+                found = intervals.chosen(Truth(sign.up, sign.down), intervals.constant(1.0), intervals.constant(-1.0))
+                found = intervals.chosen(Truth(sign.zero, sign.up | sign.down), intervals.constant(0.0), found)
                 return found.inheriting(a)
             case "floor":
                 return self._floor(a)
@@ -243,7 +235,7 @@ class TreeWalk:
         one = (high <= low) & a.whole
         found = intervals.of_bounds(np.floor(a.lower), np.floor(a.upper), NO_POLYNOMIAL).cut(~one)
         number = intervals.of_bounds(low, low, 0)
-        return chosen(Truth(one, ~one), number, found).inheriting(a)
+        return intervals.chosen(Truth(one, ~one), number, found).inheriting(a)
 
     def condition(self, formula: Formula, node: ast.expr) -> Truth:
         """Whether a node may be true and may be false as a condition, computed once; numbers other than 0 are true."""
@@ -361,12 +353,8 @@ class TreeWalk:
     ) -> np.ndarray:
         """Cells where the sign of a node is to be looked for, since its bounds do not tell it."""
         found = np.flatnonzero((low <= 0) & (high >= 0) & (low < high) & whole)
-        if not len(found) or not self._can_sample(formula, node):
-            return found[:0]
-        if self._nearest is None:
-            self.blurred[found] = True
-            return found[:0]
-        return found
+        known = self._nearest is not None and len(found) > 0 and self._can_sample(formula, node)
+        return found if known else found[:0]
 
     def _can_sample(self, formula: Formula, node: ast.expr) -> bool:
         needs = self.cells.vocabulary.needs
@@ -383,12 +371,6 @@ def _size(enclosures: list[Enclosure]) -> np.ndarray:
     least, largest = np.minimum.reduce(sizes), np.maximum.reduce(sizes)
     size = np.where(least > 0, least, largest)
     return np.where(np.isfinite(size), size, 0.0)
-
-
-def chosen(truth: Truth, yes: Enclosure, no: Enclosure) -> Enclosure:
-    """One of two values where the condition is decided, the hull of both elsewhere."""
-    found = intervals.chosen(truth.may_hold, truth.may_fail, yes, no)
-    return replace(found, defined=found.defined & truth.defined)
 
 
 def _fails(truth: Truth) -> Truth:
