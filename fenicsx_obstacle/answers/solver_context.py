@@ -196,10 +196,11 @@ class SolverContext:
         time_history = None
         if scene.time is None:
             begin = None if near is None else lambda _: problem.set_reference(near)
-            found = solve(levels, options, start=begin, ready=self._ready if len(levels) > 1 else 0, monitor=monitor)
-            last, state = found.outcome, found.state
-            counts = {"newton_total": sum(o.iterations for o in found.outcomes),
-                      "krylov_total": sum(o.krylov for o in found.outcomes)}  # fmt: skip
+            ready = self._ready if len(levels) > 1 else 0
+            outcomes, state = solve(levels, options, start=begin, ready=ready, monitor=monitor)
+            last = outcomes[-1]
+            counts = {"newton_total": sum(one.iterations for one in outcomes),
+                      "krylov_total": sum(one.krylov for one in outcomes)}  # fmt: skip
         else:
             from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 
