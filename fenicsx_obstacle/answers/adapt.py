@@ -151,7 +151,7 @@ class Refinement:
         self.path: list[dict[str, Any]] = []
         self.work: list[Work] = []
         self._solves = 0  # on the present mesh
-        self._started, self._clock = time.perf_counter(), _Clock()
+        self._clock = _Clock()
 
     def meshes(self, unknowns: float = np.inf) -> Generator[tuple[SolverContext, Answer], None, None]:
         """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
@@ -170,9 +170,7 @@ class Refinement:
         try:
             while True:
                 answer, indicator = self.assessed(context)
-                paused = time.perf_counter()
                 yield context, answer
-                self._started += time.perf_counter() - paused
                 self._clock.restart()
                 finer = context.refined(marked(indicator, self.share(answer), self.comm))
                 benches.append(finer)
@@ -254,12 +252,11 @@ class Refinement:
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
             sampled: Whether it is an estimate from samples of the obstacles.
         """
-        record = answer.record
-        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
-                          "eps": record["eps"], "seconds": time.perf_counter() - self._started,
-                          "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
-        elapsed, seconds = self._clock.read(self.comm)
+        record, (elapsed, seconds) = answer.record, self._clock.read(self.comm)
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
+        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
+                          "eps": record["eps"], "seconds": sum(work.elapsed for work in self.work),
+                          "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
 
 

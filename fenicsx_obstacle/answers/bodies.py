@@ -57,7 +57,7 @@ class BodyContext:
         """
         started = time.perf_counter()
         if level is None:
-            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            level = meshes.build(scene, comm)
             scene = scene.with_pair(level.pair)
         self.scene = scene
         self.mesh_seconds = time.perf_counter() - started
@@ -110,7 +110,7 @@ class BodyContext:
         }  # fmt: skip
         if body.level.remarks:
             record["mesh_remarks"] = list(body.level.remarks)
-        if remarks := [*record.get("remarks", ()), *body.law.remarks, *contact_remarks(body, solution)]:
+        if remarks := [*record.get("remarks", ()), *body.law.remarks, *contact_remarks(body, known)]:
             record["remarks"] = remarks
         if scene.report:
             record |= {"report": self._reported(solution, known), **self._report.extremes}
@@ -193,10 +193,10 @@ def contact_quantities(body: Body, solution: Solution) -> dict[str, float]:
     return found
 
 
-def contact_remarks(body: Body, solution: Solution) -> tuple[str, ...]:
-    """What the user should know of the contact, in words."""
+def contact_remarks(body: Body, known: Mapping[str, float]) -> tuple[str, ...]:
+    """What the user should know of the contact with these numbers, in words."""
     one = _round(body)
-    if one is None or not np.isnan(_hertzian(one, part_of(one, solution.nodes))[0]):
+    if one is None or not np.isnan(known["half_width"]):
         return ()
     return (
         f"the contact with the {one.obstacle.kind} has fewer than {MIN_NODES_ACROSS} nodes across: it is narrower than "

@@ -15,8 +15,8 @@ The values Q(u_h) and Q_0(z_h) are exact, because so is the quadrature of [repor
 from __future__ import annotations
 
 import ast
+import re
 from contextlib import closing
-from copy import deepcopy
 from dataclasses import replace
 from math import sqrt
 from typing import Any
@@ -92,7 +92,7 @@ def _dual(scene: Scene, name: str, formula: Formula, level: Level) -> dict[str, 
         degrees = _degrees(scene, integrand)
         if degrees is None or degrees[0] > 1 or degrees[1] + scene.pair.degree - 1 > DEGREE:
             return None
-        at_one, at_zero = (ast.unparse(_AtHeight(u).visit(deepcopy(integrand))) for u in (1.0, 0.0))
+        at_one, at_zero = (re.sub(r"\bu\b", u, ast.unparse(integrand)) for u in ("1.0", "0.0"))
         weight = f"({at_one}) - ({at_zero})"
         term, where = f" + {factor}*({weight})", "" if part is None else f", {part!r}"
         quantity += f" + {factor}*integral(u*({weight}){where})"
@@ -151,16 +151,6 @@ def _homogeneous(table: dict[str, Any]) -> dict[str, Any] | None:
     if "value" in table:
         kept["value"] = 0.0
     return kept if {"value", "spring"} & set(kept) else None
-
-
-class _AtHeight(ast.NodeTransformer):
-    """Replaces u by a number."""
-
-    def __init__(self, u: float):
-        self.u = u
-
-    def visit_Name(self, node: ast.Name) -> ast.expr:
-        return ast.copy_location(ast.Constant(self.u), node) if node.id == "u" else node
 
 
 def _degrees(scene: Scene, node: ast.expr) -> tuple[int, int] | None:

@@ -25,12 +25,10 @@ from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.norms import Exact
-from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.mesh.levels import Level, refined_where
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
-from fenicsx_obstacle.problems.solve import State, solve
-from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.problems.solve import State, fields_of, solve
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -67,7 +65,7 @@ class SolverContext:
         scene.only_scalar("error bounds, adaptive meshes, Newton pictures and costs")
         self.started = time.perf_counter()
         if level is None:
-            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            level = meshes.build(scene, comm)
             scene = scene.with_pair(level.pair)
         self.scene = scene
         self.mesh_seconds = time.perf_counter() - self.started
@@ -204,7 +202,7 @@ class SolverContext:
         else:
             from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 
-            stepper = TimeStepper(levels, options, self._reported, self._fields, monitor)
+            stepper = TimeStepper(levels, options, self._reported, monitor)
             last = stepper.run(restart, keep)
             time_history, counts, state = stepper.course.history, stepper.counts, stepper.state
         seconds = time.perf_counter() - start + self.setup_seconds
@@ -224,8 +222,8 @@ class SolverContext:
         # clocks differ between ranks: rank 0 speaks for all
         record, history = problem.level.comm.bcast((record, last.history))
         tension = problem.model.elastic.tension_at(state.u, problem.data)
-        answer = Answer(self._fields(state), history, record, certified, tension, scene=scene.with_options(options),
-                        time_history=time_history)  # fmt: skip
+        fields, scene = fields_of(problem, state), scene.with_options(options)
+        answer = Answer(fields, history, record, certified, tension, scene=scene, time_history=time_history)
         return self.measured(answer) if errors else answer
 
     def measured(self, answer: Answer) -> Answer:
@@ -282,25 +280,15 @@ class SolverContext:
         self, options: SolverOptions, outcome: Outcome, state: State, seconds: float, counts: Mapping[str, Any]
     ) -> dict[str, Any]:
         """The record of a solve but for bound and [report] (collective)."""
-        table = self.scene.tables
-
-        def spent() -> Seconds:
-            return Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)
-
-        figures = record_of(self.problem, options.method, outcome, state, spent, name=self.scene.name,
-                            title=table.title, refine=table.mesh.refine)  # fmt: skip
+        table, times = self.scene.tables, {"mesh": self.mesh_seconds, "solve": seconds}
+        figures = record_of(self.problem, options.method, outcome, state, self.started, name=self.scene.name,
+                            title=table.title, refine=table.mesh.refine, seconds=times)  # fmt: skip
         remarks = [*figures.get("remarks", ()), *counts.get("remarks", ())]
         return {
             **figures, **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
             **({"remarks": remarks} if remarks else {}),
         }  # fmt: skip
-
-    def _fields(self, state: State) -> Fields:
-        """The fields of an answer."""
-        data = self.problem.data
-        shown = (None, None) if data.thin else (data.lower, data.upper)
-        return Fields(self.problem.level, state.u, state.pressure, state.touching, *shown)
 
 
 def close(benches: Sequence[SolverContext]) -> None:

@@ -30,7 +30,6 @@ from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.mesh.levels import Level, of_space
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
@@ -61,8 +60,7 @@ from fenicsx_obstacle.problems.input_checks import (
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.residual_form import ResidualForm, by_one_rule
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.problems.solve import State, solve
-from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.problems.solve import State, fields_of, solve
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
@@ -339,24 +337,17 @@ class ObstacleProblem:
             self._estimator = self._bounds()
         outcome, state = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
-
-        def seconds() -> Seconds:
-            spent = time.perf_counter() - started + self._setup_seconds
-            return Seconds(spent, 0.0, spent)
-
-        record = record_of(problem, method, outcome, state, seconds, name=self.name)
+        began = started - self._setup_seconds
+        record = record_of(problem, method, outcome, state, began, name=self.name)
         certified = self._estimator.bound() if bound and self._estimator is not None else None
         if certified is not None:
             record["bound"] = {**certified.record, "effectivity": None}
         self._setup_seconds = 0.0
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
-        shown_sides = (None, None) if self._data.thin else (self._data.lower, self._data.upper)
-        kept = [None if side is None else side.copy() for side in shown_sides]
-        u = self.u.copy()  # what the next solve finds does not change this solution
-        u.name = self.u.name
-        tension = self._data.model.elastic.tension_at(u, self._data)
-        fields = Fields(level, u, state.pressure, state.touching, *kept)
+        state.u.name = self.u.name
+        tension = self._data.model.elastic.tension_at(state.u, self._data)
+        fields = fields_of(problem, state)
         if self._vector_valued:
             from fenicsx_obstacle.problems.vector_valued import vector_fields
 

@@ -15,6 +15,7 @@ from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
+from fenicsx_obstacle.fields.scalar import Fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,14 @@ def solve(
     method = method_of(problem, options, known=known)
     outcomes = solve_nested(levels, method, start=start, solved=ready, tolerance=tolerance, monitor=monitor)
     return outcomes, state_of(problem, method)
+
+
+def fields_of(problem: Problem, state: State) -> Fields:
+    """The fields of a state; later values of the obstacles do not change them."""
+    data = problem.data
+    sides = (None, None) if data.thin else (data.lower, data.upper)
+    kept = (None if side is None else side.copy() for side in sides)
+    return Fields(problem.level, state.u, state.pressure, state.touching, *kept)
 
 
 def state_of(problem: Problem, method: Method) -> State:

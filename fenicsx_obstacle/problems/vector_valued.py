@@ -21,7 +21,7 @@ from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.fields.vector import VectorFields
-from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
+from fenicsx_obstacle.problems.input_checks import check_measure, facets_of, ids_of
 from fenicsx_obstacle.text import shown
 
 SAME = 1e-9  # of the size of the contact set: coordinates that differ by round-off
@@ -168,9 +168,7 @@ def facets_and_weight(measure: Any, mesh: dmesh.Mesh, name: str) -> tuple[np.nda
         check_real(weight, f"{name}: the factor of measure")
         for one in integrals:
             check_measure(one, mesh, f"{name}: measure")
-        ids: list[Any] = []
-        for one in integrals:
-            ids += list(one.subdomain_id()) if isinstance(one.subdomain_id(), tuple) else [one.subdomain_id()]
+        ids = [number for one in integrals for number in ids_of(one)]
         measure = ufl.Measure(integrals[0].integral_type(), domain=mesh, subdomain_data=integrals[0].subdomain_data())
         measure = measure if "everywhere" in ids else measure(tuple(ids))
     if not isinstance(measure, ufl.Measure) or measure.integral_type() != "exterior_facet":

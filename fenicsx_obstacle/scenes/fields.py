@@ -63,14 +63,6 @@ class FormulaField(Field):
     def pointwise(self) -> bool:
         return True
 
-    def check_names(self, known: Mapping[str, Any] | set[str]) -> None:
-        """Reject unknown names.
-
-        Raises:
-            InputError: As `Formula.check_names`.
-        """
-        self.formula.check_names(known)
-
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return self.vocabulary.at_points(self.formula, x, self._known(x, names))
 

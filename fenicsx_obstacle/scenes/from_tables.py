@@ -92,7 +92,7 @@ def model_of(given: Definitions, effects: tuple[Effect, ...]) -> Model:
     model = Model(effects, **sides, boundary=tuple(parts), time=time, source=given.source)
     for field in model.data:
         if isinstance(field, FormulaField):
-            field.check_names(given.known_names)
+            field.formula.check_names(given.known_names)
     return model
 
 

@@ -18,13 +18,18 @@ def build(scene: Definitions, comm: MPI.Comm) -> Level:
 
     A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
 
+    Args:
+        scene: With the mesh.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
+
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
     level, refine, pair = _begin(scene, comm)
     while refine:
         times, dim = refine if halves_at_once(level) else 1, level.mesh.topology.dim
-        check_memory(level.dofs * (2.0**times * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
+        unknowns = level.dofs * (2.0**times * pair.degree) ** dim
+        check_memory(unknowns, dim, level.comm, scene.source, "'refine' fewer times")
         level, refine = refined(level, times), refine - times
     return of_pair(level, pair)
 
