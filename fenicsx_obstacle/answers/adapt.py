@@ -107,27 +107,6 @@ class Work:
         return self.seconds / (self.unknowns * self.solves)
 
 
-class _Clock:
-    """Elapsed time and processor time of this thread since the last reading."""
-
-    def __init__(self) -> None:
-        self._last = self._now()
-
-    def read(self, comm: MPI.Comm) -> tuple[float, float]:
-        """Seconds of both, the largest of all ranks; the next reading starts here (collective)."""
-        before, self._last = self._last, self._now()
-        elapsed, processor = (largest(comm, end - start) for start, end in zip(before, self._last, strict=True))
-        return elapsed, processor
-
-    def restart(self) -> None:
-        """The next reading starts here."""
-        self._last = self._now()
-
-    @staticmethod
-    def _now() -> tuple[float, float]:
-        return time.perf_counter(), time.thread_time()
-
-
 class Refinement:
     """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
 
@@ -151,7 +130,7 @@ class Refinement:
         self.path: list[dict[str, Any]] = []
         self.work: list[Work] = []
         self._solves = 0  # on the present mesh
-        self._clock = _Clock()
+        self._since = _now()  # the work for the present mesh began
 
     def meshes(self, unknowns: float = np.inf) -> Generator[tuple[SolverContext, Answer], None, None]:
         """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
@@ -171,7 +150,7 @@ class Refinement:
             while True:
                 answer, indicator = self.assessed(context)
                 yield context, answer
-                self._clock.restart()
+                self._since = _now()
                 finer = context.refined(marked(indicator, self.share(answer), self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
@@ -194,7 +173,7 @@ class Refinement:
         """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
         options, path, work = self.options, list(self.path), list(self.work)
         context.forget_estimator()
-        self._clock.restart()
+        self._since = _now()
         with closing(context.refined(cells)) as finer:
             self.assessed(finer)
         found = self.work[-1]
@@ -252,7 +231,8 @@ class Refinement:
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
             sampled: Whether it is an estimate from samples of the obstacles.
         """
-        record, (elapsed, seconds) = answer.record, self._clock.read(self.comm)
+        record, before, self._since = answer.record, self._since, _now()
+        elapsed, seconds = (largest(self.comm, end - start) for start, end in zip(before, self._since, strict=True))
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
         self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
                           "eps": record["eps"], "seconds": sum(work.elapsed for work in self.work),
@@ -432,6 +412,11 @@ def with_outputs(answer: Answer, context: SolverContext) -> Answer:
     from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs  # only where a scene names some
 
     return with_guaranteed_outputs(answer, context)
+
+
+def _now() -> tuple[float, float]:
+    """Elapsed time, and processor time of this thread."""
+    return time.perf_counter(), time.thread_time()
 
 
 def _bound(answer: Answer) -> Bound:
