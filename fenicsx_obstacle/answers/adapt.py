@@ -15,6 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext, close
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.memory import fits
@@ -285,7 +286,7 @@ class Adaptation(Refinement):
                 bound = answer.bound is not None
                 answer = context.answer(self.options, yardstick=True, bound=bound, errors=False)
             if answer.bound is not None:
-                answer = with_outputs(answer, context)
+                answer = with_guaranteed_outputs(answer, context)
             answer = context.measured(answer)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
@@ -403,15 +404,6 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
     if relative is not None and relative >= 1:
         raise InputError(f"--tol {relative:g}: the tolerance is relative and must be below 1: 0.05 is 5 %")
     return tolerance, relative is not None
-
-
-def with_outputs(answer: Answer, context: SolverContext) -> Answer:
-    """The answer with guaranteed errors of linear output quantities, if the scene has any quantities (collective)."""
-    if not context.scene.report:
-        return answer
-    from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs  # only where a scene names some
-
-    return with_guaranteed_outputs(answer, context)
 
 
 def _now() -> tuple[float, float]:

@@ -40,7 +40,7 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
     """The answer with `record["bound"]["outputs"]`: value and error of each linear quantity, and whether the error is
     guaranteed or, with sampled data, estimated (collective).
 
-    Empty where the bound is an indicator, or no quantity is such an integral.
+    Empty where the bound is an indicator, or no quantity is such an integral; not there without [report].
 
     Args:
         answer: With a bound.
@@ -48,6 +48,8 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
     """
     bound, scene, found = answer.bound, context.scene, dict[str, dict[str, float | str]]()
     assert bound is not None
+    if not scene.report:
+        return answer
     if bound.certified and not context.problem.model.radial:
         for name, formula in scene.report.items():
             raw = _dual(scene, name, formula, context.problem.level)

@@ -258,25 +258,20 @@ class ObstacleProblem:
         self._options = checked_options(options, f"{self.name}: petsc_options")
         self._estimator: Estimator | None = None
         started = time.perf_counter()
+        kind = Problem
+        if self._vector_valued:  # a scalar problem does not load this
+            from fenicsx_obstacle.discrete.vector_problem import VectorProblem
+
+            kind = VectorProblem
         with releases.compiled_with(*compiled):
-            self._problem = self._discrete(data, prefix)
+            self._problem = kind(data, prefix)
+        self._problem.keeps_solver = True
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = {} if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
         self._levels: Levels | None = None
         self._solved_before = False
         self._eps: float | None = None
-
-    def _discrete(self, data: Data, prefix: str) -> Problem:
-        """The discrete problem (collective)."""
-        if self._vector_valued:
-            from fenicsx_obstacle.discrete.vector_problem import VectorProblem
-
-            problem: Problem = VectorProblem(data, prefix)
-        else:
-            problem = Problem(data, prefix)
-        problem.keeps_solver = True
-        return problem
 
     @property
     def solver(self) -> PETSc.SNES | None:

@@ -8,9 +8,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
 from fenicsx_obstacle.mesh import files, shapes
-from fenicsx_obstacle.mesh.levels import Level, halves_at_once, of_pair, refined
+from fenicsx_obstacle.mesh.levels import Level, halves_at_once, of_mesh, of_pair, refined
 from fenicsx_obstacle.mesh.memory import check_memory
-from fenicsx_obstacle.scenes.definitions import Definitions
+from fenicsx_obstacle.scenes.definitions import Definitions, pair_of
 
 
 def build(scene: Definitions, comm: MPI.Comm) -> Level:
@@ -70,11 +70,11 @@ def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
     """The coarsest level, how often to refine it, and the element."""
     table, curved, pair = scene.tables.mesh, scene.of_body, scene.pair
     refine = table.refine
-    if scene.own_mesh is not None:
-        level = scene.own_mesh.level(scene.source, curved=curved)
+    if (own := scene.own_mesh) is not None:
+        level = of_mesh(releases.settle(own.mesh), scene.source, own.facets, own.cells, curved=curved)
     elif table.file is not None:
         level = files.read(scene.folder / table.file, comm, curved=curved)
-        pair = scene.pair_on(releases.cell_name(level.mesh))
+        pair = pair_of(scene.tables, scene.source, releases.cell_name(level.mesh))
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)
