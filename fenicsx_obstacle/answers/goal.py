@@ -28,6 +28,7 @@ from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import lookup
+from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport, check_differentiable
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import nearest, of_outputs
 
@@ -109,8 +110,6 @@ class GoalAdaptation(Adaptation):
             known = [one for one, key in scene.quantities.items() if key not in NOT_DIFFERENTIABLE]
             raise InputError(f"{scene.source}: --of {goal}: no quantity '{goal}'" + nearest(goal, known))
         if goal in scene.report:
-            from fenicsx_obstacle.scenes.report_derivatives import check_differentiable  # only where one is named
-
             check_differentiable(scene, goal)
 
     def answer(self, *, yardstick: bool) -> Answer:
@@ -208,8 +207,6 @@ class GoalAdaptation(Adaptation):
         if self._key.startswith("contact."):
             sign = 1.0 if self._key == "contact.lower.force" else -1.0
             return np.zeros(len(side)), np.where(side == sign, sign, 0.0)
-        from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport  # only where one is named
-
         report = DifferentiableReport(problem.data, self.scene)
         fields = {"u": answer.u, "p": answer.pressure, "contact": answer.contact}
         report.evaluate(fields, problem.elastic.array_r)

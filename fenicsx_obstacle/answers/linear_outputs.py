@@ -170,26 +170,14 @@ def _degrees(scene: Scene, node: ast.expr) -> tuple[int, int] | None:
             return 0, 0
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
             return _degrees(scene, operand)
-        case ast.BinOp(left=left, op=operation, right=right):
-            return _of_operation(scene, operation, right, _degrees(scene, left), _degrees(scene, right))
-    return None
-
-
-def _of_operation(
-    scene: Scene, operation: ast.operator, right: ast.expr, a: tuple[int, int] | None, b: tuple[int, int] | None
-) -> tuple[int, int] | None:
-    """The degrees of a sum, product, quotient or power, from those of both sides."""
-    if a is None or b is None:
-        return None
-    match operation:
-        case ast.Add() | ast.Sub():
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(power))) if power >= 0:
+            a = _degrees(scene, left)
+            return None if a is None else (power * a[0], power * a[1])
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as operation, right=right):
+            a, b = _degrees(scene, left), _degrees(scene, right)
+            if a is None or b is None or (isinstance(operation, ast.Div) and b[1] > 0):
+                return None
+            if isinstance(operation, ast.Mult):
+                return a[0] + b[0], a[1] + b[1]
             return max(a[0], b[0]), max(a[1], b[1])
-        case ast.Mult():
-            return a[0] + b[0], a[1] + b[1]
-        case ast.Div() if b[1] == 0:
-            return a
-        case ast.Pow():
-            match right:
-                case ast.Constant(value=int(power)) if power >= 0:
-                    return power * a[0], power * a[1]
     return None

@@ -21,6 +21,7 @@ from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
+from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
 from fenicsx_obstacle.discrete.problem import Problem
@@ -83,10 +84,7 @@ class SolverContext:
 
             self._report = Report(self.problem.data, scene)
             self._report.check()
-        if scene.tables.profile:
-            from fenicsx_obstacle.answers.profiles import check_profiles  # only where a scene names one
-
-            check_profiles(scene, level)
+        check_profiles(scene, level)
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
