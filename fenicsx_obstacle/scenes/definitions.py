@@ -19,7 +19,7 @@ from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, stands_for_an_object
-from fenicsx_obstacle.scenes.tables import DataTable, Tables, data_table
+from fenicsx_obstacle.scenes.tables import DataTable, Tables, as_structure
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.text import nearest
 
@@ -122,10 +122,10 @@ class Definitions(Vocabulary):
         if not isinstance(value, dict):
             return self.field(value, place)
         if isinstance(value.get("file"), str):
-            return self.field(data_table(value, f"{self.source}: {place}"), place)
+            return self.field(as_structure(value, DataTable, f"{self.source}: {place}"), place)
         for name, part in value.items():
             if isinstance(part, dict) and isinstance(part.get("file"), str):
-                value = {**value, name: data_table(part, f"{self.source}: {place}.{name}")}
+                value = {**value, name: as_structure(part, DataTable, f"{self.source}: {place}.{name}")}
             elif isinstance(part, dict | list):
                 raise InputError(f"{self.source}: {place}.{name} = {part!r}: expected a number or a formula")
         return ByCells({name: self.field(part, f"{place}.{name}") for name, part in value.items()},
