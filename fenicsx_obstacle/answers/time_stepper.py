@@ -224,7 +224,7 @@ class TimeStepper:
             self._remember()
             return
         if moments.order == EQUILIBRIA:
-            self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
+            self.steps = Steps(moments, problem.cold_start())
             problem.set_reference(self.steps.u_values[0])
             with at_time(self.moments, 0.0):
                 outcomes = self._solve()
@@ -233,7 +233,7 @@ class TimeStepper:
             self._row(0.0, outcomes)
             return
         check_drift_in_time(problem)
-        self.steps = Steps(moments.order, moments.scheme, 0.0, self._start(), self._velocity())
+        self.steps = Steps(moments, self._start(), self._velocity())
         self._move(0.0, self.steps.u_values[0])
         self.steps.u_values = [self._heights()]  # with the boundary values
         self._remember()
