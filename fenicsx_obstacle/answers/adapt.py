@@ -15,6 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext, close
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.memory import fits
@@ -107,27 +108,6 @@ class Work:
         return self.seconds / (self.unknowns * self.solves)
 
 
-class _Clock:
-    """Elapsed time and processor time of this thread since the last reading."""
-
-    def __init__(self) -> None:
-        self._last = self._now()
-
-    def read(self, comm: MPI.Comm) -> tuple[float, float]:
-        """Seconds of both, the largest of all ranks; the next reading starts here (collective)."""
-        before, self._last = self._last, self._now()
-        elapsed, processor = (largest(comm, end - start) for start, end in zip(before, self._last, strict=True))
-        return elapsed, processor
-
-    def restart(self) -> None:
-        """The next reading starts here."""
-        self._last = self._now()
-
-    @staticmethod
-    def _now() -> tuple[float, float]:
-        return time.perf_counter(), time.thread_time()
-
-
 class Refinement:
     """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
 
@@ -151,7 +131,7 @@ class Refinement:
         self.path: list[dict[str, Any]] = []
         self.work: list[Work] = []
         self._solves = 0  # on the present mesh
-        self._started, self._clock = time.perf_counter(), _Clock()
+        self._since = _now()  # the work for the present mesh began
 
     def meshes(self, unknowns: float = np.inf) -> Generator[tuple[SolverContext, Answer], None, None]:
         """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
@@ -170,10 +150,8 @@ class Refinement:
         try:
             while True:
                 answer, indicator = self.assessed(context)
-                paused = time.perf_counter()
                 yield context, answer
-                self._started += time.perf_counter() - paused
-                self._clock.restart()
+                self._since = _now()
                 finer = context.refined(marked(indicator, self.share(answer), self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
@@ -196,7 +174,7 @@ class Refinement:
         """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
         options, path, work = self.options, list(self.path), list(self.work)
         context.forget_estimator()
-        self._clock.restart()
+        self._since = _now()
         with closing(context.refined(cells)) as finer:
             self.assessed(finer)
         found = self.work[-1]
@@ -254,12 +232,12 @@ class Refinement:
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
             sampled: Whether it is an estimate from samples of the obstacles.
         """
-        record = answer.record
-        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
-                          "eps": record["eps"], "seconds": time.perf_counter() - self._started,
-                          "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
-        elapsed, seconds = self._clock.read(self.comm)
+        record, before, self._since = answer.record, self._since, _now()
+        elapsed, seconds = (largest(self.comm, end - start) for start, end in zip(before, self._since, strict=True))
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
+        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
+                          "eps": record["eps"], "seconds": sum(work.elapsed for work in self.work),
+                          "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
         _log.info("%d unknowns: error %.3g", record["dofs"], total)
 
 
@@ -308,7 +286,7 @@ class Adaptation(Refinement):
                 bound = answer.bound is not None
                 answer = context.answer(self.options, yardstick=True, bound=bound, errors=False)
             if answer.bound is not None:
-                answer = with_outputs(answer, context)
+                answer = with_guaranteed_outputs(answer, context)
             answer = context.measured(answer)
         adaptive = {"tolerance": self.tolerance, "relative": self.relative, "reached": why == "", "stopped": why,
                     "path": self.path}  # fmt: skip
@@ -428,13 +406,9 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
     return tolerance, relative is not None
 
 
-def with_outputs(answer: Answer, context: SolverContext) -> Answer:
-    """The answer with guaranteed errors of linear output quantities, if the scene has any quantities (collective)."""
-    if not context.scene.report:
-        return answer
-    from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs  # only where a scene names some
-
-    return with_guaranteed_outputs(answer, context)
+def _now() -> tuple[float, float]:
+    """Elapsed time, and processor time of this thread."""
+    return time.perf_counter(), time.thread_time()
 
 
 def _bound(answer: Answer) -> Bound:

@@ -24,6 +24,7 @@ from fenicsx_obstacle.text import one_line
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
     from fenicsx_obstacle.check.finding import Verification
+    from fenicsx_obstacle.data.data import Data
     from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows
 
@@ -87,10 +88,18 @@ class Answer(Solution):
 
             return Body(scene.model, with_parts(self.level.scalar, self.level)).verify(self)
         from fenicsx_obstacle.check.verification import verify
-        from fenicsx_obstacle.data.data import Data
         from fenicsx_obstacle.discrete.problem import Problem
 
-        return verify(Problem(Data(scene.model, self.level)), self)
+        return verify(Problem(self.data()), self)
+
+    def data(self) -> Data:
+        """The scene's data on the mesh of the answer; with [time] those at the end."""
+        from fenicsx_obstacle.data.data import Data  # only if requested
+
+        data = Data(self.scene.model, self.level)
+        if data.moment is not None:
+            data.moment.t = self.record["time"]["t"]
+        return data
 
     def files(
         self, folder: Path, mesh: Mapping[str, Rows], element: Mapping[str, Rows], parts: Mapping[str, np.ndarray]
@@ -126,12 +135,7 @@ class Answer(Solution):
         """The tension in UFL; of a read answer that of its scene, at the last moment (first use is collective)."""
         if self.tension is not None:
             return self.tension
-        from fenicsx_obstacle.data.data import Data  # only if requested
-        from fenicsx_obstacle.data.time_discretization import Moment
-
-        time = self.record.get("time")
-        data = Data(self.scene.model, self.level, None if time is None else Moment(time["t"], 0.0, 0.0))
-        return data.model.elastic.tension_at(self.u, data)
+        return self.scene.model.elastic.tension_at(self.u, self.data())
 
     @classmethod
     @checked()

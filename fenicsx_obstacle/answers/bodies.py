@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -14,10 +14,12 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import check_profiles
+from fenicsx_obstacle.answers.time_history import Course, Frame, TimeHistory, at_time
 from fenicsx_obstacle.data.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.boundary.obstacle import HERTZ
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.vector import VectorFields
+from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.mesh.levels import Level, with_parts
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.scenes import meshes
@@ -25,9 +27,6 @@ from fenicsx_obstacle.scenes.bodies import Body, Facing, part_of
 from fenicsx_obstacle.scenes.functionals import Report
 from fenicsx_obstacle.scenes.report import BODY_QUANTITIES
 from fenicsx_obstacle.scenes.scene import Scene
-
-if TYPE_CHECKING:
-    from fenicsx_obstacle.answers.time_history import TimeHistory
 
 SAME_FORCE = 1e-6  # relative: of moments whose contact forces differ less, the last one is shown
 MIN_NODES_ACROSS = 3  # in contact: with fewer the pressure has no shape, and the width is that of the cells
@@ -57,7 +56,7 @@ class BodyContext:
         """
         started = time.perf_counter()
         if level is None:
-            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            level = meshes.build(scene, comm)
             scene = scene.with_pair(level.pair)
         self.scene = scene
         self.mesh_seconds = time.perf_counter() - started
@@ -110,7 +109,7 @@ class BodyContext:
         }  # fmt: skip
         if body.level.remarks:
             record["mesh_remarks"] = list(body.level.remarks)
-        if remarks := [*record.get("remarks", ()), *body.law.remarks, *contact_remarks(body, solution)]:
+        if remarks := [*record.get("remarks", ()), *body.law.remarks, *contact_remarks(body, known)]:
             record["remarks"] = remarks
         if scene.report:
             record |= {"report": self._reported(solution, known), **self._report.extremes}
@@ -132,9 +131,6 @@ class BodyContext:
             InputError: If data are wrong at some time, with it.
             NotConverged: The same.
         """
-        from fenicsx_obstacle.answers.time_history import Course, Frame, at_time  # only where a scene has time
-        from fenicsx_obstacle.io.folder import frame_of
-
         course = Course(moments)
         t: float | None = 0.0
         most, largest, loaded = 0.0, 0.0, None
@@ -193,10 +189,10 @@ def contact_quantities(body: Body, solution: Solution) -> dict[str, float]:
     return found
 
 
-def contact_remarks(body: Body, solution: Solution) -> tuple[str, ...]:
-    """What the user should know of the contact, in words."""
+def contact_remarks(body: Body, known: Mapping[str, float]) -> tuple[str, ...]:
+    """What the user should know of the contact with these numbers, in words."""
     one = _round(body)
-    if one is None or not np.isnan(_hertzian(one, part_of(one, solution.nodes))[0]):
+    if one is None or not np.isnan(known["half_width"]):
         return ()
     return (
         f"the contact with the {one.obstacle.kind} has fewer than {MIN_NODES_ACROSS} nodes across: it is narrower than "

@@ -12,7 +12,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
@@ -55,7 +54,7 @@ class Cloud:
         difference; in solids, where there would be many points, for that of slopes.
         """
         answer = on_simplices(answer)
-        level, data = answer.level, _data(answer)
+        level, data = answer.level, answer.data()
         dim, count = level.mesh.topology.dim, own_cells(level.mesh)
         inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
         elastic = answer.scene.model.elastic
@@ -155,15 +154,3 @@ def _along(tension: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         return tension * np.einsum("qi,qi->q", slopes, slopes)
     slopes = slopes[:, : tension.shape[1]]
     return np.einsum("qij,qi,qj->q", tension, slopes, slopes)
-
-
-def _data(answer: Answer) -> Data:
-    """The data of an answer on its mesh; with [time] those at the end."""
-    moments = answer.scene.time
-    if moments is None:
-        return Data(answer.scene.model, answer.level)
-    from fenicsx_obstacle.data.time_discretization import Moment  # only where a scene has time
-
-    moment = Moment.at_start(moments)
-    moment.t = answer.record["time"]["t"]
-    return Data(answer.scene.model, answer.level, moment)

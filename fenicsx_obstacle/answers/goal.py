@@ -9,10 +9,8 @@ wherever there is an error bound.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -30,6 +28,7 @@ from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import lookup
+from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport, check_differentiable
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import nearest, of_outputs
 
@@ -72,69 +71,11 @@ class Estimate:
         return self.error / abs(self.value) if self.value != 0 else None
 
 
-class Goal:
-    """An output quantity that has a tolerance.
-
-    Attributes:
-        name: As the user named it.
-    """
-
-    def __init__(self, scene: Scene, name: str):
-        """Find it.
-
-        Raises:
-            InputError: If there is no such quantity, or if it has no derivative.
-        """
-        self.scene, self.name, self._key = scene, name, scene.quantities.get(name, "")
-        if self._key in NOT_DIFFERENTIABLE:
-            raise InputError(f"{scene.source}: --of {name}: it does not depend on u differentiably, so that its error "
-                             "cannot be estimated")  # fmt: skip
-        if not self._key:
-            known = [one for one, key in scene.quantities.items() if key not in NOT_DIFFERENTIABLE]
-            raise InputError(f"{scene.source}: --of {name}: no quantity '{name}'" + nearest(name, known))
-        if name in scene.report:
-            from fenicsx_obstacle.scenes.report_derivatives import check_differentiable  # only where one is named
-
-            check_differentiable(scene, name)
-
-    def value(self, record: Mapping[str, Any]) -> float:
-        """The quantity in the record of an answer.
-
-        Raises:
-            InputError: If it has none.
-        """
-        found = lookup(record, self._key)
-        if found is None:
-            raise InputError(f"{self.scene.source}: --of {self.name}: it is not finite" if self.name != ENERGY else
-                             f"{self.scene.source}: --of energy: the scene has none")  # fmt: skip
-        return found
-
-    def derivative(self, problem: Problem, answer: Answer, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The derivative with respect to u and to the nodal forces, at owned dofs (collective).
-
-        Args:
-            problem: Holds the solution.
-            answer: The solution.
-            side: 1 at nodes that may press against the lower obstacle, -1 at those at the upper one, else 0.
-        """
-        if self._key.startswith("contact."):
-            sign = 1.0 if self._key == "contact.lower.force" else -1.0
-            return np.zeros(len(side)), np.where(side == sign, sign, 0.0)
-        from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport  # only where one is named
-
-        report = DifferentiableReport(problem.data, self.scene)
-        fields = {"u": answer.u, "p": answer.pressure, "contact": answer.contact}
-        report.evaluate(fields, problem.elastic.array_r)
-        per_force, D = np.zeros(len(side)), problem.weights
-        per_force[side != 0] = problem.thickness / D[side != 0]
-        return report.derivative(self.name, per_force)
-
-
 class GoalAdaptation(Adaptation):
     """Adaptive refinement until the error of a quantity is below a tolerance, or a budget is spent.
 
     Attributes:
-        goal: The quantity.
+        goal: The quantity, as the user named it.
         words: 'estimated', 'estimated, not settled' with the reason, or how far the error of the energy is guaranteed.
         estimate: Of its error on the last mesh.
     """
@@ -154,27 +95,36 @@ class GoalAdaptation(Adaptation):
         """Check the quantity and the tolerance.
 
         Raises:
-            InputError: If one of them is wrong, or the element has no estimate.
+            InputError: If one of them is wrong, the quantity has no derivative, or the element no estimate.
         """
         super().__init__(scene, relative, absolute, budget, comm)
         if not (scene.pair.nested_hierarchy and scene.pair.at_vertices):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
-        self.goal, self.words = Goal(scene, goal), "estimated"
+        self.goal, self.words = goal, "estimated"
         self._bounded: bool | None = None
+        self._key = scene.quantities.get(goal, "")  # in a record
+        if self._key in NOT_DIFFERENTIABLE:
+            raise InputError(f"{scene.source}: --of {goal}: it does not depend on u differentiably, so that its error "
+                             "cannot be estimated")  # fmt: skip
+        if not self._key:
+            known = [one for one, key in scene.quantities.items() if key not in NOT_DIFFERENTIABLE]
+            raise InputError(f"{scene.source}: --of {goal}: no quantity '{goal}'" + nearest(goal, known))
+        if goal in scene.report:
+            check_differentiable(scene, goal)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose estimate is below the tolerance, or the best that the budget allows (collective)."""
         answer, estimate = super().answer(yardstick=yardstick), self.estimate
         goal = {
-            "name": self.goal.name, "value": estimate.value, "error": estimate.error, "relative": estimate.relative,
+            "name": self.goal, "value": estimate.value, "error": estimate.error, "relative": estimate.relative,
             "words": self.words, "mesh": estimate.discretisation, "penalty": estimate.penalty, "dofs": estimate.dofs,
         }  # fmt: skip
-        adaptive = {"of": self.goal.name, **answer.record["adaptive"]}
+        adaptive = {"of": self.goal, **answer.record["adaptive"]}
         return replace(answer, record=self.comm.bcast({**answer.record, "goal": goal, "adaptive": adaptive}))
 
     def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
         """The answer on one mesh, and the part of the error of the quantity in each owned cell (collective)."""
-        if self._bounded is None and self.goal.name == ENERGY:
+        if self._bounded is None and self.goal == ENERGY:
             with suppress(InputError):  # where there is no error bound for the scene
                 self._bounded = context.estimator is not None
         found = self._guaranteed(context) if self._bounded else None
@@ -194,7 +144,7 @@ class GoalAdaptation(Adaptation):
         """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
         estimate, size = self.estimate, abs(self.estimate.value) if self.relative else 1.0
         if size == 0.0 < estimate.error:
-            raise InputError(f"{self.scene.source}: --of {self.goal.name}: it is 0; give --tol-absolute")
+            raise InputError(f"{self.scene.source}: --of {self.goal}: it is 0; give --tol-absolute")
         return estimate.error, estimate.penalty, self.tolerance * size, estimate.dofs
 
     def _guaranteed(self, context: SolverContext) -> tuple[Answer, Estimate] | None:
@@ -218,14 +168,14 @@ class GoalAdaptation(Adaptation):
         answer = context.answer(self.options, errors=False)
         options = replace(self.options, eps=answer.record["eps"]) if answer.record["eps"] is not None else self.options
         finer: list[SolverContext] = []
-        values = [self.goal.value(answer.record)]
+        values = [self._value(answer)]
         try:
             below, cells, fine = context, np.ones(own_cells(answer.level.mesh), dtype=bool), answer
             while len(finer) <= AT_JUMPS and total(self.comm, np.count_nonzero(cells)) > 0:
                 below = below.refined(cells)
                 finer.append(below)
                 fine = below.answer(options, errors=False)
-                values.append(self.goal.value(fine.record))
+                values.append(self._value(fine))
                 cells = cells_with_jumps(below.problem.data)
                 if len(finer) <= AT_FREE_BOUNDARY:
                     cells |= at_free_boundary(fine)
@@ -234,6 +184,36 @@ class GoalAdaptation(Adaptation):
             for one in reversed(finer):
                 one.close()
 
+    def _value(self, answer: Answer) -> float:
+        """The quantity of an answer.
+
+        Raises:
+            InputError: If it has none.
+        """
+        found = lookup(answer.record, self._key)
+        if found is None:
+            raise InputError(f"{self.scene.source}: --of {self.goal}: it is not finite" if self.goal != ENERGY else
+                             f"{self.scene.source}: --of energy: the scene has none")  # fmt: skip
+        return found
+
+    def _derivative(self, problem: Problem, answer: Answer, side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The derivative with respect to u and to the nodal forces, at owned dofs (collective).
+
+        Args:
+            problem: Holds the solution.
+            answer: The solution.
+            side: 1 at nodes that may press against the lower obstacle, -1 at those at the upper one, else 0.
+        """
+        if self._key.startswith("contact."):
+            sign = 1.0 if self._key == "contact.lower.force" else -1.0
+            return np.zeros(len(side)), np.where(side == sign, sign, 0.0)
+        report = DifferentiableReport(problem.data, self.scene)
+        fields = {"u": answer.u, "p": answer.pressure, "contact": answer.contact}
+        report.evaluate(fields, problem.elastic.array_r)
+        per_force, D = np.zeros(len(side)), problem.weights
+        per_force[side != 0] = problem.thickness / D[side != 0]
+        return report.derivative(self.goal, per_force)
+
     def _compared(
         self, context: SolverContext, answer: Answer, finer: list[SolverContext], fine: Answer, values: list[float]
     ) -> Estimate:
@@ -241,14 +221,14 @@ class GoalAdaptation(Adaptation):
         finest, below = finer[-1].problem, [one.problem for one in reversed(finer[:-1])]
         own, coarse = finest.level.owned, context.problem.level.owned
         chain, given = [finest, *below], answer.u.x.array[:coarse]
-        if self.goal.name == ENERGY:
+        if self.goal == ENERGY:
             nodal = energy_contributions(finest, below, given)
             pressure, eps = fine.pressure.x.array[:own] / finest.thickness, fine.record["eps"] or 0.0
             penalty = eps * total(self.comm, finest.weights * pressure**2) / 2
         else:
             side, before = _sides(fine, own), _sides(answer, coarse)
             of_coarse = _where_all(chain, before == 1).astype(int) - _where_all(chain, before == -1)
-            q, w = self.goal.derivative(finest, fine, np.where(side != 0, side, of_coarse))
+            q, w = self._derivative(finest, fine, np.where(side != 0, side, of_coarse))
             adjoint = adjoint_of(finest, finer[-1].multigrid, (side != 0) & (side == of_coarse), q, w)
             nodal = contributions(finest, below, given, before != 0, adjoint)
             lower, upper = finest.gaps()

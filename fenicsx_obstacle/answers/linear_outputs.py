@@ -15,8 +15,8 @@ The values Q(u_h) and Q_0(z_h) are exact, because so is the quadrature of [repor
 from __future__ import annotations
 
 import ast
+import re
 from contextlib import closing
-from copy import deepcopy
 from dataclasses import replace
 from math import sqrt
 from typing import Any
@@ -40,7 +40,7 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
     """The answer with `record["bound"]["outputs"]`: value and error of each linear quantity, and whether the error is
     guaranteed or, with sampled data, estimated (collective).
 
-    Empty where the bound is an indicator, or no quantity is such an integral.
+    Empty where the bound is an indicator, or no quantity is such an integral; not there without [report].
 
     Args:
         answer: With a bound.
@@ -48,6 +48,8 @@ def with_guaranteed_outputs(answer: Answer, context: SolverContext) -> Answer:
     """
     bound, scene, found = answer.bound, context.scene, dict[str, dict[str, float | str]]()
     assert bound is not None
+    if not scene.report:
+        return answer
     if bound.certified and not context.problem.model.radial:
         for name, formula in scene.report.items():
             raw = _dual(scene, name, formula, context.problem.level)
@@ -92,7 +94,7 @@ def _dual(scene: Scene, name: str, formula: Formula, level: Level) -> dict[str, 
         degrees = _degrees(scene, integrand)
         if degrees is None or degrees[0] > 1 or degrees[1] + scene.pair.degree - 1 > DEGREE:
             return None
-        at_one, at_zero = (ast.unparse(_AtHeight(u).visit(deepcopy(integrand))) for u in (1.0, 0.0))
+        at_one, at_zero = (re.sub(r"\bu\b", u, ast.unparse(integrand)) for u in ("1.0", "0.0"))
         weight = f"({at_one}) - ({at_zero})"
         term, where = f" + {factor}*({weight})", "" if part is None else f", {part!r}"
         quantity += f" + {factor}*integral(u*({weight}){where})"
@@ -153,16 +155,6 @@ def _homogeneous(table: dict[str, Any]) -> dict[str, Any] | None:
     return kept if {"value", "spring"} & set(kept) else None
 
 
-class _AtHeight(ast.NodeTransformer):
-    """Replaces u by a number."""
-
-    def __init__(self, u: float):
-        self.u = u
-
-    def visit_Name(self, node: ast.Name) -> ast.expr:
-        return ast.copy_location(ast.Constant(self.u), node) if node.id == "u" else node
-
-
 def _degrees(scene: Scene, node: ast.expr) -> tuple[int, int] | None:
     """Degree of an expression in u, and in u and the coordinates together; None if it is no polynomial of them."""
     match node:
@@ -178,26 +170,14 @@ def _degrees(scene: Scene, node: ast.expr) -> tuple[int, int] | None:
             return 0, 0
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
             return _degrees(scene, operand)
-        case ast.BinOp(left=left, op=operation, right=right):
-            return _of_operation(scene, operation, right, _degrees(scene, left), _degrees(scene, right))
-    return None
-
-
-def _of_operation(
-    scene: Scene, operation: ast.operator, right: ast.expr, a: tuple[int, int] | None, b: tuple[int, int] | None
-) -> tuple[int, int] | None:
-    """The degrees of a sum, product, quotient or power, from those of both sides."""
-    if a is None or b is None:
-        return None
-    match operation:
-        case ast.Add() | ast.Sub():
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int(power))) if power >= 0:
+            a = _degrees(scene, left)
+            return None if a is None else (power * a[0], power * a[1])
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div() as operation, right=right):
+            a, b = _degrees(scene, left), _degrees(scene, right)
+            if a is None or b is None or (isinstance(operation, ast.Div) and b[1] > 0):
+                return None
+            if isinstance(operation, ast.Mult):
+                return a[0] + b[0], a[1] + b[1]
             return max(a[0], b[0]), max(a[1], b[1])
-        case ast.Mult():
-            return a[0] + b[0], a[1] + b[1]
-        case ast.Div() if b[1] == 0:
-            return a
-        case ast.Pow():
-            match right:
-                case ast.Constant(value=int(power)) if power >= 0:
-                    return power * a[0], power * a[1]
     return None

@@ -34,7 +34,8 @@ def profiles_of(answer: Answer) -> dict[str, Profile]:
     t = shown.record["time"]["t"] if "time" in shown.record else None
     for name, points in points_of(scene, answer.level).items():
         given = scene.tables.profile[name].compare
-        found[name] = compared(scene, shown.on(points), given, compare_place(name), t)
+        formulas = formulas_at(scene, points, given, compare_place(name), t)
+        found[name] = replace(shown.on(points), formulas=formulas)
     return found
 
 
@@ -51,7 +52,7 @@ def moments_of(
         place: Where they stand, for messages.
 
     Raises:
-        InputError: As `compared`.
+        InputError: As `formulas_at`.
     """
     if answer.time_history is None or answer.scene.model.vector_valued:  # of a body at the moment that is shown
         return []
@@ -67,8 +68,8 @@ def moments_of(
             function.x.scatter_forward()
             values[name] = values_of(function, points)
         gap = values.pop("gap", np.full(len(points), np.inf))
-        at_moment = replace(profile, gap=gap, slope=None, flux=None, **values)
-        found.append((frame.t, compared(answer.scene, at_moment, given, place, frame.t)))
+        formulas = formulas_at(answer.scene, profile.points, given, place, frame.t)
+        found.append((frame.t, replace(profile, gap=gap, slope=None, flux=None, formulas=formulas, **values)))
     return found
 
 
@@ -109,17 +110,17 @@ def check_profiles(scene: Scene, level: Level) -> None:
     """
     for name, points in points_of(scene, level).items():
         for t in (None,) if scene.time is None else (0.0, scene.time.end):
-            _formulas(scene, points, scene.tables.profile[name].compare, compare_place(name), t)
+            formulas_at(scene, points, scene.tables.profile[name].compare, compare_place(name), t)
 
 
-def compared(
-    scene: Scene, profile: Profile, given: Mapping[str, float | str], place: str, t: float | None = None
-) -> Profile:
-    """A profile with the values of formulas of comparison.
+def formulas_at(
+    scene: Scene, points: np.ndarray, given: Mapping[str, float | str], place: str, t: float | None
+) -> dict[str, np.ndarray]:
+    """The values of formulas of comparison.
 
     Args:
         scene: Whose definitions they may use.
-        profile: The solution along a line.
+        points: Shape (n, gdim).
         given: Formulas by the column over which they are drawn.
         place: Where they stand, for messages.
         t: The moment, of a scene with time.
@@ -127,12 +128,6 @@ def compared(
     Raises:
         InputError: If a formula is not finite at a point.
     """
-    return replace(profile, formulas=_formulas(scene, profile.points, given, place, t))
-
-
-def _formulas(
-    scene: Scene, points: np.ndarray, given: Mapping[str, float | str], place: str, t: float | None
-) -> dict[str, np.ndarray]:
     x, values = in_space(points).T, {} if t is None else {"t": t}
     formulas = {key: scene.at_points(scene.formula(one, f"{place} {key}"), x, values) for key, one in given.items()}
     for key, one in formulas.items():

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Adaptation, Budget, with_outputs
+from fenicsx_obstacle.answers.adapt import Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.catalogue import SCENE, changed
@@ -97,7 +98,7 @@ def solve(
         begin, states = (None if folder is None else Path(folder) for folder in (restart, keep))
         answer = context.answer(yardstick=yardstick, bound=bound, restart=begin, keep=states, errors=False)
         if bound:
-            answer = with_outputs(answer, context)
+            answer = with_guaranteed_outputs(answer, context)
         context.forget_levels()
         if uncertainty:
             from fenicsx_obstacle.answers.uncertainty import with_uncertainties  # only where it is asked for

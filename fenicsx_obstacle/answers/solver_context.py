@@ -21,16 +21,15 @@ from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
+from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.norms import Exact
-from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.mesh.levels import Level, refined_where
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
-from fenicsx_obstacle.problems.solve import State, solve
-from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.problems.solve import State, fields_of, solve
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -67,7 +66,7 @@ class SolverContext:
         scene.only_scalar("error bounds, adaptive meshes, Newton pictures and costs")
         self.started = time.perf_counter()
         if level is None:
-            level = meshes.build(scene, scene.mesh.comm if scene.mesh is not None else comm)
+            level = meshes.build(scene, comm)
             scene = scene.with_pair(level.pair)
         self.scene = scene
         self.mesh_seconds = time.perf_counter() - self.started
@@ -85,10 +84,7 @@ class SolverContext:
 
             self._report = Report(self.problem.data, scene)
             self._report.check()
-        if scene.tables.profile:
-            from fenicsx_obstacle.answers.profiles import check_profiles  # only where a scene names one
-
-            check_profiles(scene, level)
+        check_profiles(scene, level)
         self._exact: Exact | None = None
         self._estimator: Estimator | None = None
         self._poisson: float | None = None
@@ -196,14 +192,15 @@ class SolverContext:
         time_history = None
         if scene.time is None:
             begin = None if near is None else lambda _: problem.set_reference(near)
-            found = solve(levels, options, start=begin, ready=self._ready if len(levels) > 1 else 0, monitor=monitor)
-            last, state = found.outcome, found.state
-            counts = {"newton_total": sum(o.iterations for o in found.outcomes),
-                      "krylov_total": sum(o.krylov for o in found.outcomes)}  # fmt: skip
+            ready = self._ready if len(levels) > 1 else 0
+            outcomes, state = solve(levels, options, start=begin, ready=ready, monitor=monitor)
+            last = outcomes[-1]
+            counts = {"newton_total": sum(one.iterations for one in outcomes),
+                      "krylov_total": sum(one.krylov for one in outcomes)}  # fmt: skip
         else:
             from fenicsx_obstacle.answers.time_stepper import TimeStepper  # only where a scene has time
 
-            stepper = TimeStepper(levels, options, self._reported, self._fields, monitor)
+            stepper = TimeStepper(levels, options, self._reported, monitor)
             last = stepper.run(restart, keep)
             time_history, counts, state = stepper.course.history, stepper.counts, stepper.state
         seconds = time.perf_counter() - start + self.setup_seconds
@@ -223,8 +220,8 @@ class SolverContext:
         # clocks differ between ranks: rank 0 speaks for all
         record, history = problem.level.comm.bcast((record, last.history))
         tension = problem.model.elastic.tension_at(state.u, problem.data)
-        answer = Answer(self._fields(state), history, record, certified, tension, scene=scene.with_options(options),
-                        time_history=time_history)  # fmt: skip
+        fields, scene = fields_of(problem, state), scene.with_options(options)
+        answer = Answer(fields, history, record, certified, tension, scene=scene, time_history=time_history)
         return self.measured(answer) if errors else answer
 
     def measured(self, answer: Answer) -> Answer:
@@ -281,25 +278,15 @@ class SolverContext:
         self, options: SolverOptions, outcome: Outcome, state: State, seconds: float, counts: Mapping[str, Any]
     ) -> dict[str, Any]:
         """The record of a solve but for bound and [report] (collective)."""
-        table = self.scene.tables
-
-        def spent() -> Seconds:
-            return Seconds(time.perf_counter() - self.started, self.mesh_seconds, seconds)
-
-        figures = record_of(self.problem, options.method, outcome, state, spent, name=self.scene.name,
-                            title=table.title, refine=table.mesh.refine)  # fmt: skip
+        table, times = self.scene.tables, {"mesh": self.mesh_seconds, "solve": seconds}
+        figures = record_of(self.problem, options.method, outcome, state, self.started, name=self.scene.name,
+                            title=table.title, refine=table.mesh.refine, seconds=times)  # fmt: skip
         remarks = [*figures.get("remarks", ()), *counts.get("remarks", ())]
         return {
             **figures, **counts, "poisson_seconds": self._poisson,
             "poisson_units": None if self._poisson is None else seconds / self._poisson,
             **({"remarks": remarks} if remarks else {}),
         }  # fmt: skip
-
-    def _fields(self, state: State) -> Fields:
-        """The fields of an answer."""
-        data = self.problem.data
-        shown = (None, None) if data.thin else (data.lower, data.upper)
-        return Fields(self.problem.level, state.u, state.pressure, state.touching, *shown)
 
 
 def close(benches: Sequence[SolverContext]) -> None:

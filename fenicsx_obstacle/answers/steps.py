@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays, to_arrays
 from fenicsx_obstacle.data.model import Model
-from fenicsx_obstacle.data.time_discretization import INERTIA, NO_STEP, RATE
+from fenicsx_obstacle.data.time_discretization import INERTIA, NO_STEP, RATE, TimeDiscretization
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
@@ -41,9 +41,9 @@ class Steps:
         eps: Penalty parameter of all steps, with the penalty method.
     """
 
-    def __init__(self, order: int, scheme: str, t: float, u: np.ndarray, velocity: np.ndarray | None = None):
-        self.order, self.depth = order, DEPTH.get(scheme, 1)
-        self.times, self.u_values, self.velocity = [t], [u], velocity
+    def __init__(self, moments: TimeDiscretization, u: np.ndarray, velocity: np.ndarray | None = None):
+        self.order, self.depth = moments.order, DEPTH.get(moments.scheme, 1)
+        self.times, self.u_values, self.velocity = [0.0], [u], velocity
         self.impulse: np.ndarray | None = None
         self.eps: float | None = None
 
@@ -193,7 +193,7 @@ def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, Ti
     if (velocity is None) == (moments.order == INERTIA):
         raise InputError(f"{place}: is of a scene {'without' if velocity is None else 'with'} inertia")
     past = [stored[f"u{k}"][found] for k in range(len(stored["times"]))]
-    steps = Steps(moments.order, moments.scheme, 0.0, past[0], velocity)
+    steps = Steps(moments, past[0], velocity)
     steps.times = [float(t) for t in stored["times"][: steps.depth + 1]]
     steps.u_values = past[: steps.depth + 1]
     steps.eps = float(stored["eps"]) if "eps" in stored else None

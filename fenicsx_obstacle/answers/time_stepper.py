@@ -25,10 +25,9 @@ from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, NO_ST
 from fenicsx_obstacle.discrete.drift import check_drift_in_time
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
-from fenicsx_obstacle.problems.solve import State, state_of
+from fenicsx_obstacle.problems.solve import State, fields_of, state_of
 from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
@@ -50,7 +49,6 @@ class TimeStepper:
         levels: Levels,
         options: SolverOptions,
         reported: Callable[[State], Row],
-        fields: Callable[[State], Fields],
         monitor: StepMonitor | None = None,
     ):
         """Take the data of the start, and choose eps (collective).
@@ -59,7 +57,6 @@ class TimeStepper:
             levels: On which the scene is solved.
             options: Of the solves.
             reported: Figures of [report] for a state (collective).
-            fields: Fields of a state.
             monitor: Called after each Newton step.
 
         Raises:
@@ -68,7 +65,7 @@ class TimeStepper:
         problem = levels.finest
         assert isinstance(problem, Problem)
         self.problem, self.below, self._levels = problem, levels.below, levels
-        self._reported, self._fields, self._monitor = reported, fields, monitor
+        self._reported, self._monitor = reported, monitor
         assert problem.model.time is not None
         self.moments: TimeDiscretization = problem.model.time
         if problem.data.moment is not None and problem.data.moment.t > 0:  # time stepping before has left it there
@@ -227,7 +224,7 @@ class TimeStepper:
             self._remember()
             return
         if moments.order == EQUILIBRIA:
-            self.steps = Steps(moments.order, moments.scheme, 0.0, problem.cold_start())
+            self.steps = Steps(moments, problem.cold_start())
             problem.set_reference(self.steps.u_values[0])
             with at_time(self.moments, 0.0):
                 outcomes = self._solve()
@@ -236,7 +233,7 @@ class TimeStepper:
             self._row(0.0, outcomes)
             return
         check_drift_in_time(problem)
-        self.steps = Steps(moments.order, moments.scheme, 0.0, self._start(), self._velocity())
+        self.steps = Steps(moments, self._start(), self._velocity())
         self._move(0.0, self.steps.u_values[0])
         self.steps.u_values = [self._heights()]  # with the boundary values
         self._remember()
@@ -363,7 +360,7 @@ class TimeStepper:
             figures["penetration"] = state.contact.penetration
             figures |= self._reported(state)
         counts = (None, None) if last is None else (last.iterations, last.krylov)
-        self.course.add(t, counts, figures, lambda: frame_of(self._fields(state)))
+        self.course.add(t, counts, figures, lambda: frame_of(fields_of(self.problem, state)))
 
     def _kinetic(self) -> float:
         """rho v^2/2, by the nodal rule."""

@@ -54,11 +54,6 @@ def element_of(fields: Fields, nodes: np.ndarray | None) -> dict[str, Rows]:
     return {name: Rows.of(level.comm, values) for name, values in parts.items()}
 
 
-def cell_of(level: Level) -> np.ndarray:
-    """The name of the cells, as files hold it."""
-    return np.array(releases.cell_name(level.mesh).encode())
-
-
 def own_mesh(level: Level, points: Rows, cells: Rows, parts: Arrays) -> dict[str, bytes]:
     """The files `OWN_MESH`, on rank 0: a mesh without the nodes between its vertices (collective).
 

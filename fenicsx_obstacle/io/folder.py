@@ -21,8 +21,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
 from fenicsx_obstacle.fields.scalar import Fields, with_gap
 from fenicsx_obstacle.forms.pairs import pairs
-from fenicsx_obstacle.io.element import OWN_MESH, cell_of, element_of, mesh_of, restored
-from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, xdmf
+from fenicsx_obstacle.io.element import OWN_MESH, element_of, mesh_of, restored
+from fenicsx_obstacle.io.paraview import FRAMES, xdmf
 from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
 from fenicsx_obstacle.io.validation import check_arrays, check_record
 from fenicsx_obstacle.mesh.cells import own_cells
@@ -43,9 +43,8 @@ _OF_SOME = {
     *FRAMES,
 }  # files that not all folders have
 _OTHERS = {"checkpoint.h5", STEPS}  # of these, files that do not belong to what is read
-FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")
+FIELDS = ("u", "pressure", "contact", "lower", "upper", "error")  # from which the gap follows
 VECTORS = ("u0", "u1", "u2", "gap", "von_mises")  # further ones of vector-valued solutions
-DERIVED = ("gap",)  # written for ParaView, not read back with scalar solutions
 
 
 Further = Callable[[Path, Mapping[str, Rows], Mapping[str, Rows], Mapping[str, np.ndarray]], dict[str, bytes]]
@@ -81,7 +80,7 @@ def save(folder: Path, fields: Fields, history: tuple[Step, ...], record: Mappin
     whole = {"gdim": np.array(level.mesh.geometry.dim), **{f"{place}parts/{name}": v for name, v in parts.items()}}
     whole |= fields.tables()
     if element:
-        whole["element/cell"] = cell_of(level)
+        whole["element/cell"] = np.array(releases.cell_name(level.mesh).encode())
     kept = {"checkpoint.h5"} if "time" in record else set[str]()
     with new_files(comm, folder) as scratch:
 
@@ -293,11 +292,8 @@ def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
 
 def frame_of(fields: Fields) -> dict[str, np.ndarray]:
     """The fields of `gather` alone, in single precision."""
-    found = {
-        name: values.astype(np.float32)
-        for name, values in _own(fields, fields.on_nodes()).items()
-        if name in FIELDS + DERIVED + BY_CELL
-    }
+    own = _own(fields, fields.on_nodes())
+    found = {name: own[name].astype(np.float32) for name in own if name not in ("points", "cells")}
     return _gathered(fields.level.comm, found)
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
 
 import h5py
 import numpy as np
 
+from fenicsx_obstacle.io.rows import Rows
+
+Array = np.ndarray | Rows  # XDMF has its shape and type
 BY_CELL = ("von_mises",)  # fields with one value for each cell
 FRAMES = ("frames.h5", "frames.xdmf")  # the fields at the moments of a scene with [time]
 SIMPLEX = {2: "interval", 3: "triangle", 4: "tetrahedron"}  # by vertices
@@ -26,18 +28,6 @@ def to_hdf5(arrays: Mapping[str, np.ndarray]) -> bytes:
             file[name] = values
         file.flush()
         return bytes(file.id.get_file_image())
-
-
-class Array(Protocol):
-    """Shape and type of an array for XDMF."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Rows, and numbers in each."""
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Kind of number."""
 
 
 def xdmf(mesh: Mapping[str, Array], moments: Mapping[float | None, Mapping[str, Array]]) -> str:

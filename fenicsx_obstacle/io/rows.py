@@ -21,6 +21,7 @@ from fenicsx_obstacle.hdf5 import datasets, opened
 from fenicsx_obstacle.parallel import agree, before, total
 
 Offsets = dict[str, int]
+Place = tuple[str, int, tuple[int, ...]]  # dtype, first byte and shape of an array in a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,21 +126,6 @@ def fill(path: Path, rows: Mapping[str, Rows], offsets: Offsets) -> None:
             file.write(np.ascontiguousarray(array.mine).data)
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where an array stands in a file.
-
-    Attributes:
-        offset: Of its first byte.
-        shape: Its shape.
-        kind: Its dtype, as text.
-    """
-
-    offset: int
-    shape: tuple[int, ...]
-    kind: str
-
-
 def places(path: Path) -> dict[str, Place | np.ndarray]:
     """Where the arrays of an HDF5 file stand, by name; those that are no plain run of bytes themselves (one rank).
 
@@ -151,7 +137,7 @@ def places(path: Path) -> dict[str, Place | np.ndarray]:
         for name, one in datasets(file).items():
             offset = one.id.get_offset()
             plain = offset is not None and one.shape != ()
-            found[name] = Place(offset, one.shape, one.dtype.str) if plain else np.asarray(one[()])
+            found[name] = (one.dtype.str, offset, one.shape) if plain else np.asarray(one[()])
     return found
 
 
@@ -173,7 +159,8 @@ def mapped(path: Path, known: Mapping[str, Place | np.ndarray], comm: MPI.Comm) 
                 if isinstance(one, np.ndarray):
                     found[name] = one
                 else:
-                    found[name] = np.memmap(path, one.kind, "r", one.offset, one.shape)
+                    kind, offset, shape = one
+                    found[name] = np.memmap(path, kind, "r", offset, shape)
         except OSError as error:
             why = f"rank {comm.rank} cannot read it: {error.strerror}; use a file system that all ranks share"
             raise InputError(f"{path}: {why}") from None

@@ -19,9 +19,10 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.data.fields import foreign, is_complex
+from fenicsx_obstacle.discrete.assembly import assembled
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total, warn
 from fenicsx_obstacle.problems.input_checks import ids_of
@@ -157,7 +158,7 @@ def _some_of(lost: np.ndarray, V: fem.FunctionSpace) -> str:
     return f"{count:.0f} of {every} nodes, such as ({', '.join(f'{x:.4g}' for x in first)})"
 
 
-def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> None:
+def check_stiffness(problem: Problem, form: ResidualForm, place: str) -> None:
     """Reject an affine F whose derivative is not finite, is zero, or has negative entries on its diagonal (collective).
 
     It is zero if its terms cancel, or a coefficient is zero. With a negative diagonal entry the energy has no minimum,
@@ -165,13 +166,13 @@ def check_stiffness(problem: Problem, form: ResidualForm | None, place: str) -> 
 
     Args:
         problem: With the matrix of F.
-        form: The form of the caller, or None.
+        form: The form of the caller.
         place: What messages call the problem.
 
     Raises:
         InputError: With the remedy.
     """
-    if not problem.affine or form is None:
+    if not problem.affine:
         return
     comm, diagonal = problem.level.comm, problem.matrices.diagonal
     if total(comm, np.count_nonzero(~np.isfinite(diagonal))) > 0:
@@ -265,12 +266,8 @@ def _cells_of(integrals: Sequence[ufl.Integral], mesh: dmesh.Mesh) -> np.ndarray
     ]
     if not measured:
         return np.empty(0, dtype=np.int64)
-    sizes = fem.petsc.assemble_vector(releases.form(ufl.Form(measured)))
-    sizes.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    own = mesh.topology.index_map(mesh.topology.dim).size_local
-    found = np.flatnonzero(sizes.array_r[releases.cell_dofs(W)[:own, 0]] > 0)
-    sizes.destroy()
-    return found
+    sizes = assembled(ufl.Form(measured), W).x.array
+    return np.flatnonzero(sizes[releases.cell_dofs(W)[: own_cells(mesh), 0]] > 0)
 
 
 def check_tagged(form: ufl.Form, mesh: dmesh.Mesh, place: str) -> None:
@@ -324,11 +321,8 @@ def refuse_not_finite(problem: Problem, form: ResidualForm, place: str) -> None:
     Raises:
         InputError: With the place.
     """
-    residual = fem.Function(problem.level.V)
-    residual.x.array[: problem.level.owned] = _assembled(form.F, problem.level)
-    residual.x.scatter_forward()
     words = f"{place}: F at the start, through a coefficient or a load in it,"
-    problem.data.refuse_infinite(residual, words=words)
+    problem.data.refuse_infinite(assembled(form.F, problem.level.V), words=words)
 
 
 def refuse_no_positive_diagonal(problem: Problem, diagonal: np.ndarray, form: ResidualForm | None, place: str) -> None:
@@ -391,7 +385,8 @@ def check_energy(problem: Problem, diagonal: np.ndarray, form: ResidualForm, pla
     start, points = u.x.array.copy(), level.points_of(level.V)
     size = largest(comm, np.abs(start)) or 1.0
     u.x.array[:] += NEARBY * size * np.sin(1 + np.array([3.1, 4.7, 2.3]) @ points)
-    residual, slope = (_assembled(one, level) for one in (form.F, ufl.derivative(form.functional, u)))
+    forms = form.F, ufl.derivative(form.functional, u)
+    residual, slope = (assembled(one, level.V).x.array[: level.owned] for one in forms)
     u.x.array[:] = start
     scale = max(largest(comm, np.abs(one[free])) for one in (residual, slope))
     if np.isfinite(scale) and largest(comm, np.abs(residual - slope)[free]) > OTHER * scale:
@@ -420,12 +415,3 @@ def flat_start(problem: Problem, form: ResidualForm) -> str:
     if total(problem.level.comm, np.count_nonzero(nodes)) == 0:
         return ""
     return f"; the derivative of F is zero at the start at {_some_of(nodes, V)}: start from a u that is not flat there"
-
-
-def _assembled(form: ufl.Form, level: Level) -> np.ndarray:
-    """A linear form at owned dofs (collective)."""
-    vector = fem.petsc.assemble_vector(releases.form(form))
-    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-    found = vector.array_r[: level.owned].copy()
-    vector.destroy()
-    return found

@@ -178,14 +178,13 @@ def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
         raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
     check_measure(measure, mesh, f"{name}: measure")
     tags, ids = measure.subdomain_data(), measure.subdomain_id()
-    if ids == "everywhere" or ids == ("everywhere",):
+    if ids_of(measure) == ("everywhere",):
         mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
         found = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
     elif not hasattr(tags, "find"):
         raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
     else:
-        wanted = ids if isinstance(ids, tuple) else (ids,)
-        found = np.unique(np.concatenate([tags.find(number) for number in wanted])).astype(np.int32)
+        found = np.unique(np.concatenate([tags.find(number) for number in ids_of(measure)])).astype(np.int32)
     if total(mesh.comm, len(found)) == 0:
         raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}")
     return found

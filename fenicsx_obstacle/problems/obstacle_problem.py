@@ -22,6 +22,7 @@ from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.penalty_parameter import NoPositiveDiagonal
+from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE, Step, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.data.data import Data
@@ -29,7 +30,6 @@ from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.mesh.levels import Level, of_space
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
@@ -60,15 +60,13 @@ from fenicsx_obstacle.problems.input_checks import (
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.residual_form import ResidualForm, by_one_rule
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.problems.solve import Solved, solve
-from fenicsx_obstacle.problems.values import Seconds
+from fenicsx_obstacle.problems.solve import State, fields_of, solve
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.check.finding import Verification
     from fenicsx_obstacle.estimation.bound import Estimator
-    from fenicsx_obstacle.problems.vector_valued import VonMises
 
 Monitor = Callable[[int, Step], None]
 
@@ -104,7 +102,7 @@ class ObstacleProblem:
 
     name = "ObstacleProblem"  # in messages
     _vector_valued = False
-    _von_mises: VonMises | None = None
+    _von_mises: Callable[[], fem.Function] | None = None
 
     @names_checked
     def __init__(
@@ -198,7 +196,7 @@ class ObstacleProblem:
         on_facets = Model((residual,), boundary=(Part("measure", ("contact",), **sides),), source=name)
         if self._vector_valued:  # a scalar problem does not load this
             from fenicsx_obstacle.discrete.contact_nodes import VectorData
-            from fenicsx_obstacle.problems.vector_valued import VonMises, facets_and_weight
+            from fenicsx_obstacle.problems.vector_valued import facets_and_weight, von_mises_of
 
             facets, weight = facets_and_weight(measure, mesh, name)
             if of is None:
@@ -206,7 +204,7 @@ class ObstacleProblem:
             nodes = of_space(V, name, {"contact": facets}, vector=True)
             data: Data = VectorData(on_facets, nodes, held, of=of, u=u, weight=weight)
             with releases.compiled_with(*compiled):
-                self._von_mises = None if stress is None else VonMises(stress, mesh, name)
+                self._von_mises = None if stress is None else von_mises_of(stress, mesh, name)
         else:
             model = Model((residual,), **sides, source=name) if facets is None else on_facets
             data = Data(model, level, bcs=held, live=True)
@@ -260,25 +258,20 @@ class ObstacleProblem:
         self._options = checked_options(options, f"{self.name}: petsc_options")
         self._estimator: Estimator | None = None
         started = time.perf_counter()
+        kind = Problem
+        if self._vector_valued:  # a scalar problem does not load this
+            from fenicsx_obstacle.discrete.vector_problem import VectorProblem
+
+            kind = VectorProblem
         with releases.compiled_with(*compiled):
-            self._problem = self._discrete(data, prefix)
+            self._problem = kind(data, prefix)
+        self._problem.keeps_solver = True
         self._setup_seconds = time.perf_counter() - started
         self._in_matrix = {} if form is None else _values_in(form.slope)
         self._pressure = np.zeros(len(self._problem.weights))
         self._levels: Levels | None = None
         self._solved_before = False
         self._eps: float | None = None
-
-    def _discrete(self, data: Data, prefix: str) -> Problem:
-        """The discrete problem (collective)."""
-        if self._vector_valued:
-            from fenicsx_obstacle.discrete.vector_problem import VectorProblem
-
-            problem: Problem = VectorProblem(data, prefix)
-        else:
-            problem = Problem(data, prefix)
-        problem.keeps_solver = True
-        return problem
 
     @property
     def solver(self) -> PETSc.SNES | None:
@@ -337,31 +330,23 @@ class ObstacleProblem:
         started = time.perf_counter()
         if bound and self._estimator is None:
             self._estimator = self._bounds()
-        found = self._solved(eps, method, rtol, monitor)
+        outcome, state = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
-
-        def seconds() -> Seconds:
-            spent = time.perf_counter() - started + self._setup_seconds
-            return Seconds(spent, 0.0, spent)
-
-        record = record_of(problem, method, found.outcome, found.state, seconds, name=self.name)
+        began = started - self._setup_seconds
+        record = record_of(problem, method, outcome, state, began, name=self.name)
         certified = self._estimator.bound() if bound and self._estimator is not None else None
         if certified is not None:
             record["bound"] = {**certified.record, "effectivity": None}
         self._setup_seconds = 0.0
         # clocks differ between ranks: rank 0 speaks for all
-        record, history = level.comm.bcast((record, found.outcome.history))
-        shown_sides = (None, None) if self._data.thin else (self._data.lower, self._data.upper)
-        kept = [None if side is None else side.copy() for side in shown_sides]
-        state = found.state
-        u = self.u.copy()  # what the next solve finds does not change this solution
-        u.name = self.u.name
-        tension = self._data.model.elastic.tension_at(u, self._data)
-        fields = Fields(level, u, state.pressure, state.touching, *kept)
+        record, history = level.comm.bcast((record, outcome.history))
+        state.u.name = self.u.name
+        tension = self._data.model.elastic.tension_at(state.u, self._data)
+        fields = fields_of(problem, state)
         if self._vector_valued:
             from fenicsx_obstacle.problems.vector_valued import vector_fields
 
-            von_mises = None if self._von_mises is None else self._von_mises.now()
+            von_mises = None if self._von_mises is None else self._von_mises()
             fields, more = vector_fields(problem, state.contact, fields, von_mises)
             record["contact"] |= more
         return Solution(fields, history, record, certified, tension, _problem=weakref.ref(self))
@@ -385,7 +370,7 @@ class ObstacleProblem:
         with releases.compiled_with(*self._compiled):
             return verify(self._problem, solution)
 
-    def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> Solved:
+    def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> tuple[Outcome, State]:
         """Solve, into u (collective)."""
         garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
         check_not_moved(self.level, self._vertices, self.name)
@@ -405,7 +390,7 @@ class ObstacleProblem:
             start = self._press if len(levels) == 1 or self._has_start() else None
             numbered = None if monitor is None else _on_finest(monitor, problem)
             try:
-                found = solve(levels, options, known=self._eps, start=start, tolerance=rtol, monitor=numbered)
+                outcomes, state = solve(levels, options, known=self._eps, start=start, tolerance=rtol, monitor=numbered)
             except NoPositiveDiagonal:
                 refuse_no_positive_diagonal(problem, self._diagonal(), self._form, self.name)
             except NotConverged as error:
@@ -415,10 +400,10 @@ class ObstacleProblem:
                 problem.set_reference(self.u.x.array[: problem.owned].copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             warn_of_indefinite(problem, self._form, self.name)
-        self.u.x.array[:], self._pressure, self._solved_before = found.state.u.x.array, found.state.p, True
-        if options.eps == "auto" and found.outcome.eps is not None:
-            self._eps = found.outcome.eps  # so that the next solve gives the same solution
-        return found
+        self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
+        if options.eps == "auto" and outcomes[-1].eps is not None:
+            self._eps = outcomes[-1].eps  # so that the next solve gives the same solution
+        return outcomes[-1], state
 
     def _levels_for(self, options: SolverOptions) -> Levels:
         """The levels of a solve, with the data of now (first use is collective)."""

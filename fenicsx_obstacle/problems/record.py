@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
+import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.origin import command, versions
 from fenicsx_obstacle.parallel import largest, peak_memory_mb, smallest, total
 from fenicsx_obstacle.problems.solve import State
-from fenicsx_obstacle.problems.values import Seconds
 
 COARSE = 1.5  # distance of nodes over that of measured data from which on the mesh is said to be too coarse
 
@@ -27,11 +26,12 @@ def record_of(
     method: str,
     outcome: Outcome,
     state: State,
-    seconds: Callable[[], Seconds],
+    started: float,
     *,
     name: str = "",
     title: str = "",
     refine: int = 0,
+    seconds: Mapping[str, float] = {},
 ) -> dict[str, Any]:
     """Description of the problem, output quantities of its solution, counts, times and memory (collective).
 
@@ -40,10 +40,11 @@ def record_of(
         method: By which method.
         outcome: Of the iteration.
         state: What came out.
-        seconds: The times, when all quantities are computed.
+        started: When it began, by `time.perf_counter`.
         name: Of the problem.
         title: Of the problem.
         refine: How often the mesh of a file was refined.
+        seconds: Of these the times of mesh and solve, where they are not 0 and the whole.
     """
     level, contact, eps = problem.level, state.contact, outcome.eps
     peclet = {} if problem.drift is None else {"peclet": problem.drift.number}
@@ -70,9 +71,11 @@ def record_of(
             figures["boundary_jump"] = jump
     if problem.constrained and problem.affine and level.pair.nodal and problem.model.time is None:
         figures["round_off"] = round_off(problem, state.p, eps)
+    spent = time.perf_counter() - started
     return {
         **figures, "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
-        "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov, "seconds": asdict(seconds()),
+        "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
+        "seconds": {"total": spent, "mesh": 0.0, "solve": spent, **seconds},
         "memory_mb": peak_memory_mb(level.comm), "versions": versions(), "command": command(level.comm.size),
     }  # fmt: skip
 

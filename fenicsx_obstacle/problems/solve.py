@@ -15,6 +15,7 @@ from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
+from fenicsx_obstacle.fields.scalar import Fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,34 +38,11 @@ class State:
     contact: Contact
     energy: float | None
 
-    @property
-    def fields(self) -> dict[str, fem.Function]:
-        """The fields of an answer."""
-        return {"u": self.u, "pressure": self.pressure, "contact": self.touching}
-
     def sides(self, problem: Problem) -> dict[str, float]:
         """The force on each obstacle there is, >= 0."""
         forces = {"lower": self.contact.lower_force, "upper": self.contact.upper_force}
         gaps = {"lower": problem.below, "upper": problem.above}
         return {side: force for side, force in forces.items() if gaps[side] is not None}
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """The result of a solve.
-
-    Attributes:
-        outcomes: Of the levels that were solved, the finest last.
-        state: On the finest.
-    """
-
-    outcomes: list[Outcome]
-    state: State
-
-    @property
-    def outcome(self) -> Outcome:
-        """Of the iteration on the finest level."""
-        return self.outcomes[-1]
 
 
 def solve(
@@ -76,7 +54,7 @@ def solve(
     ready: int = 0,
     tolerance: float = TOLERANCE,
     monitor: StepMonitor | None = None,
-) -> Solved:
+) -> tuple[list[Outcome], State]:
     """Solve the finest problem of some levels, for its present data (collective).
 
     Scenes, forms, elastic bodies and their coarser meshes all come here. Steps in time repeat the middle line.
@@ -90,6 +68,9 @@ def solve(
         tolerance: Unbalanced force over acting forces.
         monitor: Called after each step.
 
+    Returns:
+        The outcomes of the levels that were solved, the finest last, and the state on the finest.
+
     Raises:
         InputError: For a bad eps.
         NotConverged: With PETSc's reason.
@@ -98,7 +79,15 @@ def solve(
     assert isinstance(problem, Problem)
     method = method_of(problem, options, known=known)
     outcomes = solve_nested(levels, method, start=start, solved=ready, tolerance=tolerance, monitor=monitor)
-    return Solved(outcomes, state_of(problem, method))
+    return outcomes, state_of(problem, method)
+
+
+def fields_of(problem: Problem, state: State) -> Fields:
+    """The fields of a state; later values of the obstacles do not change them."""
+    data = problem.data
+    sides = (None, None) if data.thin else (data.lower, data.upper)
+    kept = (None if side is None else side.copy() for side in sides)
+    return Fields(problem.level, state.u, state.pressure, state.touching, *kept)
 
 
 def state_of(problem: Problem, method: Method) -> State:

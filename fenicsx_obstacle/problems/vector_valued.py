@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,14 +21,15 @@ from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.fields.vector import VectorFields
-from fenicsx_obstacle.problems.input_checks import check_measure, facets_of
+from fenicsx_obstacle.problems.input_checks import check_measure, facets_of, ids_of
 from fenicsx_obstacle.text import shown
 
 SAME = 1e-9  # of the size of the contact set: coordinates that differ by round-off
 
 
-class VonMises:
-    """The von Mises stress, compiled once.
+def von_mises_of(stress: Any, mesh: dmesh.Mesh, name: str) -> Callable[[], fem.Function]:
+    """A function that returns the von Mises stress at the present u, in the middle of each cell; compiled once (both
+    are collective).
 
     Args:
         stress: A tensor in UFL, shape (3, 3), or (2, 2) of plane stress.
@@ -37,28 +39,27 @@ class VonMises:
     Raises:
         InputError: If it is no such tensor.
     """
+    if not isinstance(stress, ufl.core.expr.Expr) or stress.ufl_shape not in ((2, 2), (3, 3)):
+        raise InputError(
+            f"{name}: stress = {shown(stress)}: expected a tensor in UFL with three rows, in plane stress two"
+        )
+    if foreign(stress, mesh.ufl_domain()):
+        raise InputError(f"{name}: stress holds a Function or coordinates of another mesh than u")
+    check_real(stress, f"{name}: stress")
+    full = stress
+    if stress.ufl_shape == (2, 2):
+        full = ufl.as_matrix([[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, 0]])
+    deviator = full - ufl.tr(full) / 3 * ufl.Identity(3)
+    space = releases.functionspace(mesh, "DG", 0)
+    expression = releases.expression(ufl.sqrt(1.5 * ufl.inner(deviator, deviator)), space)
 
-    def __init__(self, stress: Any, mesh: dmesh.Mesh, name: str):
-        if not isinstance(stress, ufl.core.expr.Expr) or stress.ufl_shape not in ((2, 2), (3, 3)):
-            raise InputError(
-                f"{name}: stress = {shown(stress)}: expected a tensor in UFL with three rows, in plane stress two"
-            )
-        if foreign(stress, mesh.ufl_domain()):
-            raise InputError(f"{name}: stress holds a Function or coordinates of another mesh than u")
-        check_real(stress, f"{name}: stress")
-        full = stress
-        if stress.ufl_shape == (2, 2):
-            full = ufl.as_matrix([[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, 0]])
-        deviator = full - ufl.tr(full) / 3 * ufl.Identity(3)
-        self.space = releases.functionspace(mesh, "DG", 0)
-        self.expression = releases.expression(ufl.sqrt(1.5 * ufl.inner(deviator, deviator)), self.space)
-
-    def now(self) -> fem.Function:
-        """At the present u, in the middle of each cell (collective)."""
-        found = fem.Function(self.space, name="von_mises")
-        found.interpolate(self.expression)
+    def now() -> fem.Function:
+        found = fem.Function(space, name="von_mises")
+        found.interpolate(expression)
         found.x.scatter_forward()
         return found
+
+    return now
 
 
 def vector_fields(
@@ -167,9 +168,7 @@ def facets_and_weight(measure: Any, mesh: dmesh.Mesh, name: str) -> tuple[np.nda
         check_real(weight, f"{name}: the factor of measure")
         for one in integrals:
             check_measure(one, mesh, f"{name}: measure")
-        ids: list[Any] = []
-        for one in integrals:
-            ids += list(one.subdomain_id()) if isinstance(one.subdomain_id(), tuple) else [one.subdomain_id()]
+        ids = [number for one in integrals for number in ids_of(one)]
         measure = ufl.Measure(integrals[0].integral_type(), domain=mesh, subdomain_data=integrals[0].subdomain_data())
         measure = measure if "everywhere" in ids else measure(tuple(ids))
     if not isinstance(measure, ufl.Measure) or measure.integral_type() != "exterior_facet":

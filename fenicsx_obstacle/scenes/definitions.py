@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.measured.table import Table
 from fenicsx_obstacle.effects.effect import Elastic, find
 from fenicsx_obstacle.effects.field import ByCells, Field
@@ -18,7 +19,7 @@ from fenicsx_obstacle.scenes import formulas
 from fenicsx_obstacle.scenes.fields import FormulaField
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, field_of, stands_for_an_object
-from fenicsx_obstacle.scenes.tables import DataTable, Tables, data_table
+from fenicsx_obstacle.scenes.tables import DataTable, Tables, as_structure
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 from fenicsx_obstacle.text import nearest
 
@@ -67,7 +68,7 @@ class Definitions(Vocabulary):
         Raises:
             InputError: If a name of [define] or the element is wrong, or there is no mesh.
         """
-        pair = _pair(typed, source, typed.mesh.cell if mesh is None else mesh.cell)
+        pair = pair_of(typed, source, typed.mesh.cell if mesh is None else releases.cell_name(mesh.mesh))
         if mesh is None and (typed.mesh.shape is None) == (typed.mesh.file is None):
             raise InputError(f"{source}: [mesh] needs either a 'shape' or a 'file'")
         return cls(source, folder, typed, mesh, objects, _definitions(typed, source), pair)
@@ -85,10 +86,6 @@ class Definitions(Vocabulary):
     def of_body(self) -> bool:
         """Whether u is the displacement of an elastic body."""
         return any(issubclass(find(key), Elastic) and bool(find(key).vector_valued) for key in self.tables.effects)
-
-    def pair_on(self, cell: str) -> Pair:
-        """The element on a mesh of these cells: their default one, where [solve] names none."""
-        return _pair(self.tables, self.source, cell)
 
     def field(self, value: Any, place: str) -> Field:
         """A number, a formula, a table of measured data or an object as a datum; `place` is its table and key."""
@@ -125,10 +122,10 @@ class Definitions(Vocabulary):
         if not isinstance(value, dict):
             return self.field(value, place)
         if isinstance(value.get("file"), str):
-            return self.field(data_table(value, f"{self.source}: {place}"), place)
+            return self.field(as_structure(value, DataTable, f"{self.source}: {place}"), place)
         for name, part in value.items():
             if isinstance(part, dict) and isinstance(part.get("file"), str):
-                value = {**value, name: data_table(part, f"{self.source}: {place}.{name}")}
+                value = {**value, name: as_structure(part, DataTable, f"{self.source}: {place}.{name}")}
             elif isinstance(part, dict | list):
                 raise InputError(f"{self.source}: {place}.{name} = {part!r}: expected a number or a formula")
         return ByCells({name: self.field(part, f"{place}.{name}") for name, part in value.items()},
@@ -196,7 +193,7 @@ def _definitions(typed: Tables, source: str) -> dict[str, Formula]:
     return definitions
 
 
-def _pair(typed: Tables, source: str, cell: str | None) -> Pair:
+def pair_of(typed: Tables, source: str, cell: str | None) -> Pair:
     """The element that [solve] names, or the default one of some cells."""
     asked, known = typed.solve.element, pairs()
     name = pair_for(cell or "") if asked is None else asked

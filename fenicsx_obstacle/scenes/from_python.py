@@ -11,11 +11,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.measured.table import Table
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.mesh.levels import Level, of_mesh
+from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.tags import check_tags
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.text import shown
@@ -166,23 +165,6 @@ class OwnMesh:
         cells = _named(mesh, cell_tags, cell_names, dim, "cell")
         own = mesh.topology.index_map(dim).size_local
         return cls(mesh, facets, {name: found[found < own] for name, found in cells.items()})
-
-    @property
-    def cell(self) -> str:
-        """Name of its cells."""
-        return releases.cell_name(self.mesh)
-
-    def level(self, source: str, *, curved: bool) -> Level:
-        """The mesh as the finest level of a hierarchy (collective).
-
-        Args:
-            source: Of the scene, for messages.
-            curved: Whether cells may be of degree 2.
-
-        Raises:
-            InputError: If its cells do not fit together.
-        """
-        return of_mesh(releases.settle(self.mesh), source, self.facets, self.cells, curved=curved)
 
 
 def _named(mesh: Any, tags: Any, names: Any, dim: int, kind: str) -> dict[str, np.ndarray]:

@@ -8,9 +8,9 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
 from fenicsx_obstacle.mesh import files, shapes
-from fenicsx_obstacle.mesh.levels import Level, halves_at_once, of_pair, refined
+from fenicsx_obstacle.mesh.levels import Level, halves_at_once, of_mesh, of_pair, refined
 from fenicsx_obstacle.mesh.memory import check_memory
-from fenicsx_obstacle.scenes.definitions import Definitions
+from fenicsx_obstacle.scenes.definitions import Definitions, pair_of
 
 
 def build(scene: Definitions, comm: MPI.Comm) -> Level:
@@ -18,13 +18,18 @@ def build(scene: Definitions, comm: MPI.Comm) -> Level:
 
     A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
 
+    Args:
+        scene: With the mesh.
+        comm: Communicator; not used if the scene has a DOLFINx mesh.
+
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
     level, refine, pair = _begin(scene, comm)
     while refine:
         times, dim = refine if halves_at_once(level) else 1, level.mesh.topology.dim
-        check_memory(level.dofs * (2.0**times * pair.degree) ** dim, dim, comm, scene.source, "'refine' fewer times")
+        unknowns = level.dofs * (2.0**times * pair.degree) ** dim
+        check_memory(unknowns, dim, level.comm, scene.source, "'refine' fewer times")
         level, refine = refined(level, times), refine - times
     return of_pair(level, pair)
 
@@ -65,11 +70,11 @@ def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
     """The coarsest level, how often to refine it, and the element."""
     table, curved, pair = scene.tables.mesh, scene.of_body, scene.pair
     refine = table.refine
-    if scene.own_mesh is not None:
-        level = scene.own_mesh.level(scene.source, curved=curved)
+    if (own := scene.own_mesh) is not None:
+        level = of_mesh(releases.settle(own.mesh), scene.source, own.facets, own.cells, curved=curved)
     elif table.file is not None:
         level = files.read(scene.folder / table.file, comm, curved=curved)
-        pair = scene.pair_on(releases.cell_name(level.mesh))
+        pair = pair_of(scene.tables, scene.source, releases.cell_name(level.mesh))
     else:
         shape = shape_of(scene)
         dim = len(shape.cells)

@@ -300,7 +300,7 @@ class Scene(Definitions):
         from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
         from fenicsx_obstacle.scenes import meshes
 
-        ranks = self.mesh.comm if self.mesh is not None else comm or MPI.COMM_WORLD
+        ranks = comm or MPI.COMM_WORLD
         if self.model.vector_valued:
             from fenicsx_obstacle.scenes.bodies import Body  # only where a scene names an elastic body
 

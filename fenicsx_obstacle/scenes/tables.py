@@ -216,19 +216,6 @@ def part_place(number: int) -> str:
     return f"[[boundary]] (no. {number + 1})"
 
 
-def data_table(raw: dict[str, Any], place: str) -> DataTable:
-    """A table of measured data among the values of [effects], typed.
-
-    Args:
-        raw: As it stands in TOML.
-        place: What messages call it, with its file.
-
-    Raises:
-        InputError: Naming the key.
-    """
-    return _typed(raw, DataTable, place)
-
-
 def read_toml(path: Path) -> dict[str, Any]:
     """Tables of a file, not yet checked.
 
@@ -286,7 +273,7 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
         typed = msgspec.convert(raw, Tables)
     except msgspec.ValidationError:
         for place, kind, part in _parts(raw):
-            _typed(part, kind, f"{source}:{place}")
+            as_structure(part, kind, f"{source}:{place}")
         raise
     _no_idle_key(typed.mesh, raw.get("mesh", {}), source)
     for name, table in typed.profile.items():
@@ -326,8 +313,13 @@ def _parts(raw: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
             yield f" [{name}]", kinds[name], value
 
 
-def _typed(raw: Any, kind: Any, place: str) -> Any:
+def as_structure(raw: Any, kind: Any, place: str) -> Any:
     """A part of a scene as a typed structure.
+
+    Args:
+        raw: As it stands in TOML.
+        kind: The type.
+        place: What messages call it, with its file.
 
     Raises:
         InputError: With TOML's names for the place, the value found, and the nearest key.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, compared, moments_of, profiles_of
+from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, formulas_at, moments_of, profiles_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
@@ -78,7 +79,7 @@ def draw_line(
         where = ", ".join(f"{x:.6g}" for x in profile.points[np.argmax(outside)])
         raise InputError(f"--along: the point ({where}) is outside the mesh")
     t = answer.record["time"]["t"] if "time" in answer.record else None
-    profile = compared(answer.scene, profile, given, place, t)
+    profile = replace(profile, formulas=formulas_at(answer.scene, profile.points, given, place, t))
     moments, sizes = moments_of(answer, profile, given, place), _sizes(answer)
     on_root(answer.level.comm, _write, answer, profile, moments, answer.title, sizes, path)
     return f"{path} and {path.with_suffix('.csv')}: {counted(len(profile.s), 'point')}"
