@@ -67,19 +67,6 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     assert "--plot" in json.loads((tmp_path / "disk" / "answer.json").read_text())["command"]
 
 
-@pytest.mark.parametrize("ranks", slow_except([1, 2], 1))
-def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
-    """Before anything is imported, before MPI is used, and once the mesh is there."""
-    (tmp_path / "bad.toml").write_text('[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = "x - 1/2"\n')
-    before = sorted(tmp_path.iterdir())
-    for arguments in (["slove"], ["solve", "none.toml"], ["solve", "bad.toml"]):
-        done = run(*arguments, ranks=ranks, cwd=tmp_path)
-        assert done.returncode == 2, (arguments, done.stderr)
-        assert done.stderr.count("Error: ") == 1, done.stderr
-        assert "Traceback" not in done.stderr
-        assert sorted(tmp_path.iterdir()) == before, arguments  # no empty out/
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("ranks", slow_except([1, 2], 2))
 def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
@@ -158,15 +145,6 @@ def test_a_source_that_another_process_removes(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "exists", lambda _: bool(source.unlink(missing_ok=True)))
     releases._remove_stale_sources(0.0)
     assert not list(source.parent.iterdir())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", slow_except(["disk", "string"], "disk"))
-def test_explain(name):
-    done = inside("explain", DEMOS / f"{name}.toml")
-    assert done.returncode == 0
-    for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "not included"):
-        assert word in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -252,9 +252,9 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
 @pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [1, 2])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_signals_end_all_processes(ranks, number, tmp_path):
-    """SIGTERM and SIGHUP to the launcher alone: 128 + number, rows are kept, no process is left."""
+    """SIGTERM and SIGHUP to the launcher alone, Ctrl-C: 128 + number, one line, rows are kept, no process is left."""
     study = ["study", "disk_flat", "--vary", "cells=4,6,400", "--method", "vi", "--output", str(tmp_path)]
     process = subprocess.Popen(
         [LAUNCHER, "--ranks", str(ranks), *study],
@@ -264,16 +264,17 @@ def test_signals_end_all_processes(ranks, number, tmp_path):
         text=True,
         start_new_session=True,
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
-    )  # ignored under nohup
+    )  # ignored under nohup, and in the background
     rows = tmp_path / "rows.jsonl"
     deadline = time.monotonic() + 60
     while (not rows.exists() or rows.read_text().count("\n") < 2) and time.monotonic() < deadline:
         time.sleep(0.05)
-    os.kill(process.pid, number)
+    (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)  # the first as the terminal does
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, said
-    assert said.strip() == "terminated; finished rows are kept, and the same command continues from them"
-    assert rows.read_text().count("\n") >= 2
+    how = "interrupted" if number == signal.SIGINT else "terminated"
+    assert said.strip() == f"{how}; finished rows are kept, and the same command continues from them"
+    assert len([json.loads(row) for row in rows.read_text().splitlines()]) >= 2
     while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
         time.sleep(0.05)
     assert not _session(process.pid)

@@ -15,7 +15,7 @@ from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 from tests.hard.units import CONVERSIONS, Units, all_units
-from tests.test_cli import run
+from tests.helpers import run, square_with_a_wire
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
 PRESSURE = "10*max(1 - hypot(x - 0.5, y - 0.5)^2/0.0625, 0)"
@@ -88,26 +88,11 @@ def test_string_on_a_spring():
     assert solve(scene).record["errors"]["max"] < 1e-10
 
 
-GEO = """SetFactory("Built-in");
-Point(1) = {0, 0, 0, 0.2}; Point(2) = {0.5, 0, 0, 0.2}; Point(3) = {1, 0, 0, 0.2};
-Point(4) = {1, 1, 0, 0.2}; Point(5) = {0.5, 1, 0, 0.2}; Point(6) = {0, 1, 0, 0.2};
-Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 5}; Line(5) = {5, 6}; Line(6) = {6, 1};
-Line(7) = {2, 5};
-Curve Loop(1) = {1, 7, 5, 6}; Curve Loop(2) = {2, 3, 4, -7};
-Plane Surface(1) = {1}; Plane Surface(2) = {2};
-Physical Curve("sides") = {3, 6}; Physical Curve("wire") = {7};
-Physical Surface("film") = {1, 2};
-"""
-
-
 @pytest.fixture
 def wire(folder):
     """A square with a curve inside, along x = 1/2; u = 0 on the left and the right."""
-    if COMM.rank == 0:
-        (folder / "wire.geo").write_text(GEO)
-    COMM.barrier()
     parts = [{"on": "sides", "value": 0}, {"on": "wire", "flux": 2, "spring": 4}]
-    raw = {"mesh": {"file": str(folder / "wire.geo"), "refine": 1}, "tension": 1, "boundary": parts}
+    raw = {"mesh": {"file": square_with_a_wire(folder), "refine": 1}, "tension": 1, "boundary": parts}
     return Scene(**raw, exact="where(x < 0.5, x, 1 - x)/2")
 
 

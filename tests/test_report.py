@@ -133,41 +133,6 @@ def test_normal_flux_into_a_curve_inside():
     assert abs(found["groove"]) > 0.1 * abs(found["out"])
 
 
-MISTAKES = {
-    "normal flux in the domain": (
-        "integral(normal_flux)",
-        r"normal_flux is defined on a part of the boundary only: integral\(n",
-    ),
-    "normal flux at a point": ("at(normal_flux, 0, 0)", "normal_flux is defined on a part of the boundary"),
-    "normal flux alone": ("1 + normal_flux", "normal_flux is defined on a part of the boundary"),
-    "unknown name": ("integral(v)", r"\[report\] q: unknown name 'v'[\s\S]*\n    integral\(v\)\n             \^"),
-    "field outside": (
-        "2*u",
-        r"'u' is a field: use integral, at, max or min of it\n    2\*u\n      \^",
-    ),
-    "define outside": ("1 + f", "'f' is a field"),
-    "later entry": ("integral(u)*later", "unknown name 'later'"),
-    "varying point": ("at(u, x, 0)", "'x' is a field"),
-    "coordinates": ("1 + at(u, 1)", r"at\(\) needs 2 coordinates here, not 1\n    1 \+ at\(u, 1\)\n        \^"),
-    "arguments": ("sup(u, 1)", "sup takes 1 argument, not 2"),
-    "largest": ("1 + max()", "max takes 2 to 9 arguments, not 0"),
-    "no text": ("integral(u, left)", "expected the name of a part of the mesh, in quotes"),
-    "text elsewhere": ("integral('left')", "not allowed in a formula"),
-    "no such part": ("integral(u, 'lft')", "no part of the mesh named 'lft'; did you mean 'left'"),
-    "outside": ("at(u, 2, 0.5)", r"the point \(2, 0.5\) is outside the mesh"),
-    "outside, later": ("at(u, 2*integral(1), 0.5)", r"the point \(2, 0.5\) is outside the mesh"),
-}
-
-
-@pytest.mark.ranks
-@pytest.mark.parametrize("name", MISTAKES)
-def test_mistakes(name):
-    text, message = MISTAKES[name]
-    with pytest.raises(InputError, match=message) as caught:
-        solve(membrane(define={"f": "x"}, report={"q": text, "later": 1}))
-    assert len(set(COMM.allgather(str(caught.value)))) == 1
-
-
 def test_names_and_places():
     with pytest.raises(InputError, match="'u' has a meaning already"):
         membrane(report={"u": 1})
