@@ -18,7 +18,7 @@ from fenicsx_obstacle.discrete import hierarchy
 from fenicsx_obstacle.discrete.hierarchy import galerkin_systems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
-from tests.conftest import COMM, by_hand, slow_except
+from tests.conftest import COMM, ON_SEVERAL_RANKS, by_hand, slow_except
 
 R = 0.6979651482233736  # of the contact set of the ball
 BALL = {
@@ -239,6 +239,7 @@ def test_coarse_weights_are_not_negative():
     assert np.allclose(coarse_module._weights(np.array([1.0, 4.0]), transfer, thin=False), [5.0, 0.0], atol=1e-15)
 
 
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_counts_are_those_of_one_rank(method):

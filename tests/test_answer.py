@@ -10,7 +10,7 @@ import pytest
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, compare, solve, study
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest, on_root, total
-from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.conftest import COMM, DEMOS, membrane
 
 KEYS = """scene method element ranks cells cells_total dofs h h_max eps converged reason newton_iterations
 krylov_iterations newton_total krylov_total seconds poisson_seconds poisson_units memory_mb energy errors penetration
@@ -146,19 +146,3 @@ def test_compare_on_two_meshes():
     assert 0.5 < found["u"]["l2"] / coarse.record["errors"]["l2"] < 1.2
     assert 0.7 < found["contact"]["jaccard"] < 1
     assert found["contact"]["hausdorff"] < 2 * coarse.level.h
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(
-    ("demo", "name"), slow_except([("disk", "history.csv"), ("put", "newton.csv")], ("disk", "history.csv"))
-)
-def test_a_torn_history_is_refused(demo, name, folder):
-    """Wherever it is torn: within a line, within its last number, between two lines; with time as well."""
-    solve(Scene.read(DEMOS / f"{demo}.toml"), cells=8).save(folder)
-    file = folder / name
-    whole = file.read_bytes()
-    assert len(Answer.read(folder).history) > 1
-    for end in {*range(0, len(whole) - 2, 7), *(k + 1 for k in range(len(whole) - 1) if whole[k : k + 1] == b"\n")}:
-        file.write_bytes(whole[:end])
-        with pytest.raises(InputError, match=f"damaged: {name}"):
-            Answer.read(folder)

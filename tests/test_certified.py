@@ -11,7 +11,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import InputError, Scene, polynomials, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.certification import Certification
-from tests.conftest import COMM, membrane, slow_except
+from tests.conftest import COMM, ON_SEVERAL_RANKS, membrane, slow_except
 from tests.test_bound import distance
 
 SQUARE = {"shape": "rectangle", "cells": 8}
@@ -258,6 +258,7 @@ def test_tolerances_say_what_they_rest_on():
         assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
 
 
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 def test_words_are_the_same_on_any_number_of_ranks():
     """All ranks say the same, and the same as one."""

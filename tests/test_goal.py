@@ -11,7 +11,7 @@ from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import summary
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.text import with_error
-from tests.conftest import COMM, DEMOS
+from tests.conftest import COMM, DEMOS, ON_SEVERAL_RANKS
 
 FORCE = 4 * math.pi * 0.5777150035509267**2  # of disk_flat: load times area of the contact disk
 TORQUE = 2 * (2 * math.pi) * (0.6 * 0.08 + 1.25 * (0.16 * 0.08 - 0.4**4 / 4) + (1 - 0.16) / 2 - (1 - 0.064) / 3)
@@ -160,6 +160,7 @@ def test_mistakes():
         solve(scene, goal="force")
 
 
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 def test_the_same_on_all_ranks():
     """Meshes, value and estimate do not depend on the number of ranks."""

@@ -14,7 +14,7 @@ from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.check.finding import violated
-from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
+from tests.conftest import CLEAN, COMM, DEMOS, ON_SEVERAL_RANKS, membrane, slow_except
 from tests.hard.cases import FOLDER, Case, case, cases, named
 from tests.hard.invariants import beside_inequality, falling, of_one, same
 from tests.hard.judge import METHODS, judge, take
@@ -162,6 +162,7 @@ def test_digits_of_the_pressure():
     assert rows[2]["digits"]["from_heights"] > 50 * rows[1]["digits"]["from_heights"] > 1e-5
 
 
+@ON_SEVERAL_RANKS
 def test_ranks():
     """The same fields on all numbers of ranks, within what is known of their accuracy; another field is found out."""
     one = case("ridge").on(0)

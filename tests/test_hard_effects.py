@@ -11,7 +11,7 @@ from fenicsx_obstacle import solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.effects.effect import find, known
-from tests.conftest import COMM, membrane, slow_except
+from tests.conftest import COMM, ON_SEVERAL_RANKS, membrane, slow_except
 from tests.hard.cases import case, cases
 from tests.hard.invariants import beside_inequality, of_one, same
 from tests.hard.judge import judge, take
@@ -137,6 +137,7 @@ def test_energy_of_rules_that_differ():
         assert np.isclose(fallen, rate * residual.norm() ** 2, rtol=0.05)
 
 
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 def test_ranks():
     """No maximum principle, no energy: the energy norm of the difference tells other answers from the same."""

@@ -146,19 +146,6 @@ def gmsh_square(path, order=1, recombine=False):
 
 
 @pytest.mark.slow
-def test_gmsh_names(folder):
-    """Physical names are what [[boundary]] on means; refinement keeps them."""
-    on_root(COMM, gmsh_square, folder / "square.msh")
-    scene = Scene(
-        mesh={"file": str(folder / "square.msh"), "refine": 1}, tension=1, exact="y",
-        boundary=[{"on": "floor", "value": 0}, {"on": "rest", "value": "y"}],
-    )  # fmt: skip
-    assert solve(scene).record["errors"]["max"] < 1e-9
-    with pytest.raises(InputError, match="no part named 'flor'; did you mean 'floor'"):
-        solve(scene.change({"boundary": [{"on": "flor", "value": 0}]}))
-
-
-@pytest.mark.slow
 def test_parts_of_a_file_halved_several_times(folder):
     """Named parts of the boundary keep their length, materials their cells."""
     on_root(COMM, gmsh_square, folder / "square.msh")

@@ -10,7 +10,6 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.algebra.newton import solve_penalty
@@ -77,38 +76,6 @@ def test_a_problem_from_fields_is_solved_and_bounded(element):
         assert norm(problem, u_values(problem) - exact) <= 10 * eps
 
 
-def values():
-    """The load -8 (1 + x) and the tension 2 in every form that a caller may have."""
-    mesh = square()
-    x = ufl.SpatialCoordinate(mesh)
-    V = functionspace(mesh, "Lagrange", 1)
-    load = fem.Function(V)
-    load.interpolate(lambda x: -8 * (1 + x[0]))
-    other = fem.Function(functionspace(settle(dmesh.create_unit_square(COMM, 5, 7)), "Lagrange", 1))
-    other.interpolate(lambda x: -8 * (1 + x[0]))
-    return mesh, {
-        "callable": (2.0, lambda x: -8 * (1 + x[0])),
-        "Constant": (fem.Constant(mesh, PETSc.ScalarType(2)), lambda x: -8 * (1 + x[0])),
-        "Function": (2.0, load),
-        "Function on another mesh": (2.0, other),
-        "UFL": (2.0 + 0 * x[0], -8 * (1 + x[0])),
-    }
-
-
-@pytest.mark.slow
-def test_data_may_come_in_any_form():
-    """A number, a Constant, a callable, a Function and UFL that mean the same give the same u."""
-    mesh, forms = values()
-    found = {}
-    for name, (tension, load) in forms.items():
-        problem = membrane(of_mesh(mesh, "test"), tension=tension, load=load)
-        problem.set_reference(problem.cold_start())
-        solve_penalty(problem, 1e-6)
-        found[name] = u_values(problem).copy()
-    for name, u in found.items():
-        assert largest(COMM, np.abs(u - found["callable"])) <= 1e-9, name
-
-
 def test_obstacles_and_boundary_values_may_be_functions():
     """A Function, a callable and UFL as obstacle and as boundary value give what the formula gives, on any level."""
     mesh = square(8)
@@ -150,22 +117,6 @@ def test_materials_by_name():
     taken = problem.data.values(problem.model.effects[0].value)
     points = level.W.tabulate_dof_coordinates()[:, 0]
     assert largest(COMM, np.abs(taken - np.where(points < 0.5, 2.0, 1 + points))) <= 1e-12
-
-
-@pytest.mark.ranks
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("1 + x", "expected a number, a Constant"),
-        (lambda x: np.zeros(3), "returns n values"),
-        (lambda x: 1 / 0, "ZeroDivisionError"),
-        (lambda x: np.where(x[0] > 0.5, np.nan, -1.0), "is not a finite number"),
-    ],
-)
-def test_data_that_are_none(value, message):
-    """What cannot be a datum is refused on all ranks, with the name its giver gave it."""
-    with pytest.raises(InputError, match="test: load.*" + message):
-        membrane(of_mesh(square(8), "test"), load=value)
 
 
 def jumping(mesh):
@@ -223,17 +174,6 @@ def test_one_datum_may_serve_twice():
         Problem(
             Data(Model((find("load")(negative), find("tension")(negative)), None, None, [rest], source="test"), level)
         )
-
-
-def test_models_that_contradict_themselves():
-    """Two tensions, or none; obstacles in the domain and on its boundary."""
-    one = field(1.0, "test: one")
-    tension, load = find("tension")(one), find("load")(one)
-    for effects in ((load,), (tension, tension)):
-        with pytest.raises(InputError, match="test: exactly one effect must be"):
-            Model(effects, source="test")
-    with pytest.raises(InputError, match="these exclude each other"):
-        Model((tension,), lower=one, boundary=[Part("edge", lower=one)], source="test")
 
 
 def test_what_has_no_value_at_nodes():

@@ -59,9 +59,12 @@ def test_the_same_by_names_and_by_functions(element):
     """A tension by materials, by a Function in cells, by UFL and by a formula; parts by names: the same figures."""
     own = Own()
     x = ufl.SpatialCoordinate(own.mesh)
+    other = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [5, 7])
+    elsewhere = fem.Function(releases.functionspace(other, "Lagrange", 1))
+    elsewhere.interpolate(lambda x: -8 + 0 * x[0])
     ways = [
         own.scene(tension={"soft": 1, "hard": STIFF}),
-        own.scene(tension=own.mu),
+        own.scene(tension=own.mu, load=elsewhere),
         own.scene(tension={"soft": fem.Constant(own.mesh, PETSc.ScalarType(1.0)), "hard": lambda x: STIFF + 0 * x[0]}),
         own.scene(tension=ufl.conditional(ufl.lt(x[0], 0.5), 1.0, STIFF)),
         own.scene(tension=f"where(x < 1/2, 1, {STIFF})", load=lambda x: -8 + 0 * x[0], lower=lambda x: -0.2 + 0 * x[0]),

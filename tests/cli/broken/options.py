@@ -76,7 +76,7 @@ def broken_options() -> Iterator[Broken]:
         ("eps of a vi", ["study", SCENE, "--vary", "eps=1,2", "--method", "vi"], ["eps"]),
         ("two tolerances", ["solve", SCENE, "--tol", "0.1", "--tol-absolute", "0.1"], ["--tol"]),
         ("a budget without tolerance", ["solve", SCENE, "--budget", "60s"], ["--tol"]),
-        ("a bound for Q1", ["solve", SCENE, "--bound", *Q1], ["bound"]),
+        ("a bound for Q1", ["solve", SCENE, "--bound", *Q1], ["bound", "P1 on intervals"]),
         ("a tolerance for Q1", ["solve", SCENE, "--tol", "0.1", *Q1], ["Q1"]),
         ("output into a file", ["solve", SCENE, "--output", SCENE], ["--output"]),
         ("output below a file", ["solve", SCENE, "--output", f"{SCENE}/a/b"], ["--output"]),
