@@ -158,36 +158,6 @@ def test_continuation_in_eps_begins_from_the_start(monkeypatch):
     assert largest(COMM, np.abs(starts[1] - start)) <= 1e-15
 
 
-@pytest.mark.parametrize(
-    ("name", "more"), [("ball", {}), ("disk", {}), ("two_sided", {}), ("string", {}), ("wall", {"mesh.x": [0, 1.5]})]
-)
-def test_nodal_path_is_the_forms(name, more):
-    """Products with A, f and D give what the UFL forms give: residual, energy and Jacobian."""
-    from fenicsx_obstacle.discrete.assembly import Forms
-
-    problem = SolverContext(Scene.read(DEMOS / f"{name}.toml").change({"mesh.cells": 16, **more})).problem
-    problem.eps = 1e-3
-    own, fast = problem.level.owned, problem.law
-    x = problem.level.points
-    problem.w[:] += np.sin(7 * x[0] + 3 * x[1])[:own]
-    problem.state.share()
-    out = [fast.vector() for _ in range(4)]
-    fast.elastic(out[0])
-    fast.reaction(out[1])
-    Forms.elastic(fast, out[2])
-    Forms.reaction(fast, out[3])
-    for ours, forms in ((0, 2), (1, 3)):
-        scale = largest(COMM, np.abs(out[forms].array[:own]))
-        assert scale > 0
-        assert largest(COMM, np.abs(out[ours].array - out[forms].array)) <= 1e-13 * scale
-    A = problem.jacobian(problem.vector())
-    B = A.duplicate()
-    Forms.jacobian(fast, B, penalised=True)
-    scale = B.norm(PETSc.NormType.INFINITY)
-    B.axpy(-1.0, A)
-    assert B.norm(PETSc.NormType.INFINITY) <= 1e-13 * scale
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "eps"),
