@@ -102,23 +102,11 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
 @pytest.mark.slow
 def test_a_mesh_from_gmsh(folder):
     """Delaunay triangles: few steps, and the error of the exact solution halves with h."""
-
-    def draw(size):
-        import gmsh
-
-        gmsh.initialize([], False)
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.occ.addRectangle(-2, -2, 0, 4, 4)
-        gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-        gmsh.model.mesh.generate(2)
-        gmsh.write(str(folder / f"{size}.msh"))
-        gmsh.finalize()
-
     errors = []
     for size in (0.1, 0.05):
-        on_root(COMM, draw, size)
-        answer = solve(Scene(mesh={"file": str(folder / f"{size}.msh")}, **BALL,
+        text = f'SetFactory("OpenCASCADE"); Rectangle(1) = {{-2, -2, 0, 4, 4}}; Mesh.MeshSizeMax = {size};\n'
+        on_root(COMM, (folder / f"{size}.geo").write_text, text)
+        answer = solve(Scene(mesh={"file": str(folder / f"{size}.geo")}, **BALL,
                              exact=f"where(r < {R}, sqrt(1 - r^2), {BALL['boundary'][0]['value']})"))  # fmt: skip
         assert counts(answer)[0] <= 6 and counts(answer)[1] <= 20
         errors.append(answer.record["errors"]["energy"])

@@ -125,31 +125,20 @@ def test_more_ranks_than_cells():
     assert one.record["dofs"] == 4
 
 
-def gmsh_square(path, order=1, recombine=False):
-    import gmsh
-
-    gmsh.initialize([], False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
-    gmsh.model.occ.synchronize()
-    gmsh.model.addPhysicalGroup(2, [1], 7)
-    for name, lines in (("floor", [1]), ("rest", [2, 3, 4])):
-        tag = gmsh.model.addPhysicalGroup(1, lines)
-        gmsh.model.setPhysicalName(1, tag, name)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.2)
-    if recombine:
-        gmsh.option.setNumber("Mesh.RecombineAll", 1)
-    gmsh.model.mesh.generate(2)
-    gmsh.model.mesh.setOrder(order)
-    gmsh.write(str(path))
-    gmsh.finalize()
+SQUARE_GEO = """SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 1, 1};
+Physical Surface(7) = {1};
+Physical Curve("floor") = {1};
+Physical Curve("rest") = {2, 3, 4};
+Mesh.MeshSizeMax = 0.2;
+"""
 
 
 @pytest.mark.slow
 def test_parts_of_a_file_halved_several_times(folder):
     """Named parts of the boundary keep their length, materials their cells."""
-    on_root(COMM, gmsh_square, folder / "square.msh")
-    coarse, fine = (build({"file": str(folder / "square.msh"), "refine": refine}) for refine in (0, 3))
+    on_root(COMM, (folder / "square.geo").write_text, SQUARE_GEO)
+    coarse, fine = (build({"file": str(folder / "square.geo"), "refine": refine}) for refine in (0, 3))
     assert len(fine.grids) == 2
     for name, length in (("floor", 1.0), ("rest", 3.0)):
         cells, numbers, share = sides(fine.mesh, fine.facets[name])

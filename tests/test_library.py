@@ -22,7 +22,7 @@ from fenicsx_obstacle.effects.effect import find
 from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.mesh.cells import corners, own_cells
-from fenicsx_obstacle.mesh.levels import of_mesh, of_pair, refined
+from fenicsx_obstacle.mesh.levels import of_mesh, of_pair
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import functionspace, settle
 
@@ -93,30 +93,6 @@ def test_obstacles_and_boundary_values_may_be_functions():
         solve_vi(problem)
         found.append(u_values(problem).copy())
     assert largest(COMM, np.abs(found[0] - found[1])) <= 1e-10
-
-
-def test_data_follow_to_a_finer_mesh():
-    """A Function of the caller's mesh is taken to a refined one: the Functions there are the same ones."""
-    level = of_mesh(square(8), "test")
-    load = fem.Function(functionspace(level.mesh, "DG", 0))
-    load.interpolate(lambda x: np.where(x[0] < 0.5, -1.0, -3.0))
-    fine = refined(level)
-    problem = membrane(fine, load=load, lower=None)
-    taken = problem.data.values(problem.model.effects[1].value)
-    where = fine.W.tabulate_dof_coordinates()[:, 0] < 0.5
-    assert largest(COMM, np.abs(taken - np.where(where, -1.0, -3.0))) <= 1e-12
-
-
-def test_materials_by_name():
-    """A dict gives each group of cells its own datum, whatever its form."""
-    mesh = square(8)
-    left = corners(mesh)[: own_cells(mesh)].mean(axis=1)[:, 0] < 0.5
-    groups = {"left": np.flatnonzero(left), "right": np.flatnonzero(~left)}
-    level = of_mesh(mesh, "test", None, groups)
-    problem = membrane(level, tension={"left": 2.0, "right": lambda x: 1 + x[0]}, lower=None)
-    taken = problem.data.values(problem.model.effects[0].value)
-    points = level.W.tabulate_dof_coordinates()[:, 0]
-    assert largest(COMM, np.abs(taken - np.where(points < 0.5, 2.0, 1 + points))) <= 1e-12
 
 
 def jumping(mesh):
