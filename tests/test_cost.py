@@ -2,7 +2,6 @@
 
 import json
 import math
-import time
 from contextlib import closing
 
 import numpy as np
@@ -16,9 +15,8 @@ from fenicsx_obstacle.show.tables import duration, megabytes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
 from fenicsx_obstacle.studies.rows import RowStore
-from tests.conftest import CLEAN, COMM, DEMOS, membrane
+from tests.conftest import COMM, DEMOS, membrane
 from tests.helpers import inside
-from tests.processes import end
 
 SMALL = "600s, 1500 unknowns"  # what clocks say must not decide
 
@@ -178,28 +176,17 @@ def test_peak_memory_begins_anew():
 
 @pytest.mark.serial
 @pytest.mark.slow
-def test_killed_and_page(tmp_path):
-    """kill -9 in the middle: finished rows stay, the same command goes on, and the page stands alone."""
-    import subprocess
-    import sys
-
+def test_page(tmp_path):
+    """The page of the command stands alone; called again, it takes its rows."""
     out = tmp_path / "out"
     words = ["cost", "string_parabola", "--budget", "600s, 100 unknowns", "--output", str(out)]
-    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "fenicsx_obstacle", *words], env=CLEAN, start_new_session=True, **silent
-    )
-    rows = out / "rows.jsonl"
-    while (not rows.exists() or rows.read_bytes().count(b"\n") < 5) and process.poll() is None:
-        time.sleep(0.01)
-    end(process)
-    kept = [
-        json.loads(text)["key"] for text in rows.read_bytes().decode().splitlines(keepends=True) if text[-1] == "\n"
-    ]
-    done = inside(*words)
-    assert done.returncode == 0, done.stderr
-    keys = [json.loads(text)["key"] for text in rows.read_text().splitlines()]
-    assert keys[: len(kept)] == kept and len(set(keys)) == len(keys) > len(kept)
+    kept = []
+    for _ in range(2):
+        done = inside(*words)
+        assert done.returncode == 0, done.stderr
+        keys = [json.loads(text)["key"] for text in (out / "rows.jsonl").read_text().splitlines()]
+        assert len(set(keys)) == len(keys) > 5 and keys == (kept or keys)
+        kept = keys
     assert "next digit of" in done.stdout and "P2 auto: failed: " in done.stdout
     page = (out / "report.html").read_text()
     assert page.count("<img") == 4 and "Time for one more digit" in page

@@ -186,13 +186,20 @@ def test_twice_on_one_bench():
     assert np.allclose(first.u.x.array, second.u.x.array, rtol=0, atol=1e-12)
 
 
-def test_a_force_stays_what_it_is():
-    """A point load beside a moving obstacle: each moment is the problem at rest of its data, on any number of ranks."""
-    data = {"mesh": {"shape": "rectangle", "cells": 8}, "tension": 1, "point_load": [{"at": [0.5, 0.5], "force": -1}]}
-    moving = solve(Scene(**data, lower="-0.2 + 0.1*t", time={"end": 1, "steps": 4})).time_history.rows[-1]
-    still = solve(Scene(**data, lower=-0.1)).record
-    assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
-    assert moving["force_lower"] == pytest.approx(still["contact"]["lower"]["force"], rel=1e-8)
+@pytest.mark.parametrize(
+    ("data", "moving", "still"),
+    [({"point_load": [{"at": [0.5, 0.5], "force": -1}], "tension": 1}, {"lower": "-0.2 + 0.1*t"}, {"lower": -0.1}),
+     ({"load": -8, "lower": -0.2}, {"tension": "1 + 3*t*x"}, {"tension": "1 + 3*x"})],
+    ids=["point load", "stiffness"],
+)  # fmt: skip
+def test_a_moment_is_the_problem_at_rest_of_its_data(data, moving, still):
+    """A force stays what it is beside a moving obstacle, and matrices of all levels follow a tension that grows."""
+    given = {"mesh": {"shape": "rectangle", "cells": 8, "refine": 2}, **data}
+    row = solve(Scene(**given, **moving, time={"end": 1, "steps": 4}), eps=1e-6).time_history.rows[-1]
+    record = solve(Scene(**given, **still), eps=1e-6).record
+    assert row["energy"] == pytest.approx(record["energy"], rel=1e-9)
+    assert row["force_lower"] == pytest.approx(record["contact"]["lower"]["force"], rel=1e-8)
+    assert row["krylov"] <= record["krylov_iterations"] + 1 + MORE_ON_SEVERAL_RANKS
 
 
 def test_frames_after_a_restart(folder):
@@ -207,16 +214,6 @@ def test_frames_after_a_restart(folder):
     for frame in answer.time_history.frames:
         assert np.allclose(frame.fields["u"], frame.t * x[0] + x[1], atol=1e-6)
     assert [frame.t for frame in answer.time_history.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
-
-
-@pytest.mark.slow
-def test_moving_stiffness():
-    """A tension that grows with t: matrices of all levels follow."""
-    data = {"mesh": {"shape": "rectangle", "cells": 8, "refine": 2}, "load": -8, "lower": -0.2}
-    moving = solve(Scene(**data, tension="1 + 3*t*x", time={"end": 1, "steps": 2}), eps=1e-6).time_history.rows[-1]
-    still = solve(Scene(**data, tension="1 + 3*x"), eps=1e-6).record
-    assert moving["energy"] == pytest.approx(still["energy"], rel=1e-9)
-    assert moving["krylov"] <= still["krylov_iterations"] + 1 + MORE_ON_SEVERAL_RANKS
 
 
 @pytest.mark.slow
