@@ -75,6 +75,14 @@ def grid(
     return points, np.concatenate([np.column_stack(triangle) for triangle in cells])
 
 
+def cut(points: Any, cells: Any, along: np.ndarray, beyond: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points and triangles with second nodes along a line, for the cells beyond it."""
+    twice = np.flatnonzero(along)
+    other = np.arange(len(points))
+    other[twice] = len(points) + np.arange(len(twice))
+    return np.vstack([points, points[twice]]), np.where(beyond[:, None], other[cells], cells)
+
+
 WIRE = """SetFactory("Built-in");
 Point(1) = {0, 0, 0, 0.2}; Point(2) = {0.5, 0, 0, 0.2}; Point(3) = {1, 0, 0, 0.2};
 Point(4) = {1, 1, 0, 0.2}; Point(5) = {0.5, 1, 0, 0.2}; Point(6) = {0, 1, 0, 0.2};

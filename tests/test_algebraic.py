@@ -19,6 +19,7 @@ from fenicsx_obstacle.discrete.hierarchy import galerkin_systems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from tests.conftest import COMM, ON_SEVERAL_RANKS, by_hand, slow_except
+from tests.helpers import cut, grid
 
 R = 0.6979651482233736  # of the contact set of the ball
 BALL = {
@@ -247,21 +248,6 @@ def test_counts_are_those_of_one_rank(method):
     assert levels[0] == levels[1]
 
 
-def grid(cells, slit):
-    """Points and triangles of (-1, 1)^2; with a slit from the left side to the middle, of nodes at the same places."""
-    n = cells + 1
-    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n))
-    numbers = np.arange(n * n).reshape(n, n)
-    lower, upper = numbers[:-1].copy(), numbers[1:]
-    points = np.column_stack([x.ravel(), y.ravel()])
-    if slit:
-        middle, length = cells // 2, cells // 2
-        lower[middle, :length] = n * n + np.arange(length)  # for the cells above
-        points = np.vstack([points, points[numbers[middle, :length]]])
-    squares = np.stack([lower[:, :-1], lower[:, 1:], upper[:, :-1], upper[:, 1:]], axis=2).reshape(-1, 4)
-    return points, np.vstack([squares[:, [0, 1, 3]], squares[:, [0, 3, 2]]])
-
-
 def test_levels_depend_on_neither_unit_nor_place():
     """Coarse nodes of a mesh in other units, elsewhere, are the same points."""
     factor = 2.0**-30
@@ -284,14 +270,17 @@ def test_levels_depend_on_neither_unit_nor_place():
 
 def test_ranks_without_cells():
     """They work along."""
-    scene = Scene(mesh=by_hand(*grid(48, slit=False)), tension=1, load=-4, lower="-0.3 - 0.1*x")
+    scene = Scene(mesh=by_hand(*grid(48, 48, (-1, -1), (2, 2))), tension=1, load=-4, lower="-0.3 - 0.1*x")
     assert counts(solve(scene))[0] <= 6
 
 
 @pytest.mark.slow
 def test_a_slit():
     """Nodes at one place are different nodes: u jumps across the slit, and takes few steps to be found."""
-    scene = Scene(mesh=by_hand(*grid(64, slit=True)), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
+    points, cells = grid(64, 64, (-1, -1), (2, 2))
+    along = (np.abs(points[:, 1]) < 1e-9) & (points[:, 0] < -1e-9)
+    points, cells = cut(points, cells, along, points[cells].mean(axis=1)[:, 1] > 0)
+    scene = Scene(mesh=by_hand(points, cells), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
                   boundary=[{"where": "x == 1", "value": 0}])  # fmt: skip
     ours, cold = solve(scene), solve(scene, start="cold")
     assert difference(ours, cold) <= 1e-9

@@ -227,18 +227,6 @@ def test_pressure_error_of_a_known_pressure():
     assert "pressure_l2" not in solve(membrane(**string, exact=0)).record["errors"]
 
 
-def test_names_in_the_exact_table_are_checked():
-    for exact, message in (
-        ({"u": 0, "pressure": "q"}, r"\[exact\] pressure: unknown name 'q'"),
-        ({"u": 0, "presure": 0}, r"\[exact\] unknown key 'presure'; did you mean 'pressure'"),
-        ({"u": 0, "pressure": "distance"}, "not allowed in .exact"),
-        ({"u": 0, "rates": {"l3": 1}}, r"unknown key 'l3'"),
-        ({"pressure": 0}, r"\[exact\] the key 'u' is missing"),
-    ):
-        with pytest.raises(InputError, match=message):
-            membrane(lower=0, exact=exact)
-
-
 def test_explain_says_what_is_known():
     text = explain(catalogue.scene("cone"))
     for part in (

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -145,27 +144,6 @@ def test_options_give_what_a_scene_lacks(folder):
     other = Scene.read(DEMOS / "disk.toml").change({"boundary.0.value": 0.0})
     assert other.tables.boundary[0].value == 0.0
     assert other.change({"mesh.x.1": 2}).tables.mesh.x == ("-sqrt(0.5)", 2)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"define.q": 3}, "has no stiffness"),
-        ({"effects.tension": 1, "define.q": 1, "define.other": 2}, "no 'other', and no formula uses it"),
-        ({"effects.tensoin": 1, "define.q": 1}, "did you mean 'tension'"),
-        ({"boundary.3.value": 1}, "'3' is no item of the list; take a number from 0 to 0"),
-        ({"boundary.first.value": 1}, "'first' is no item of the list"),
-        ({"boundary.0": 1}, "is no item of the list, which is empty"),
-        ({"effects.load.a": 1}, "load is no table"),
-        ({"effects": 3, "effects.tension": 1}, "effects is no table"),
-    ],
-)
-def test_options_that_fit_nowhere(options, says, folder):
-    """A message with the key."""
-    file = folder / "scene.toml"
-    on_root(COMM, write_text, file, INCOMPLETE)
-    with pytest.raises(InputError, match=re.escape(says)):
-        changed(str(file), options)
 
 
 def test_a_tolerance_that_the_budget_does_not_allow():

@@ -50,6 +50,11 @@ def membrane(level, *, tension=1.0, load=-8.0, lower=-0.1, upper=None, boundary=
     return Problem(Data(Model(effects, fields["lower"], fields["upper"], parts, source="test"), level))
 
 
+def begun(problem):
+    problem.set_reference(problem.cold_start())
+    return problem
+
+
 def u_values(problem):
     return problem.solution().x.array[: problem.level.owned]
 
@@ -63,16 +68,14 @@ def test_a_problem_from_fields_is_solved_and_bounded(element):
     """u_eps tends to u of SNES VI at the rate of eps; all data are numbers, and the mesh is the caller's."""
     level = of_pair(of_mesh(square(), "test"), pairs()[element])
     problem = membrane(level)
-    problem.set_reference(problem.cold_start())
-    solve_vi(problem)
+    solve_vi(begun(problem))
     exact = u_values(problem).copy()
     assert largest(COMM, -0.1 - exact[problem.weights > 0]) <= 1e-12
     bound = Estimator(problem).bound()
     assert 0 < bound.relative < (0.4 if element == "P1" else 0.1)
     assert bound.words.startswith("certified on the polygon of the mesh")
     for eps in (1e-3, 1e-6):
-        problem.set_reference(problem.cold_start())
-        solve_penalty(problem, eps)
+        solve_penalty(begun(problem), eps)
         assert norm(problem, u_values(problem) - exact) <= 10 * eps
 
 
@@ -89,8 +92,7 @@ def test_obstacles_and_boundary_values_may_be_functions():
     ):
         part = Part("all", value=field(value, "test: value"))
         problem = membrane(of_mesh(mesh, "test"), load=0.0, lower=lower, boundary=[part])
-        problem.set_reference(problem.cold_start())
-        solve_vi(problem)
+        solve_vi(begun(problem))
         found.append(u_values(problem).copy())
     assert largest(COMM, np.abs(found[0] - found[1])) <= 1e-10
 
@@ -116,8 +118,7 @@ def test_bounds_say_what_was_sampled(what, element):
     """Of UFL or a callable nothing is known between its samples: the bound names it."""
     mesh = square()
     problem = membrane(of_pair(of_mesh(mesh, "test"), pairs()[element]), **SAMPLED[what](mesh))
-    problem.set_reference(problem.cold_start())
-    solve_penalty(problem, 1e-6)
+    solve_penalty(begun(problem), 1e-6)
     bound = Estimator(problem).bound()
     assert bound.words.startswith("certified on the polygon of the mesh for the sampled")
     assert what in bound.words and not bound.guaranteed
@@ -129,8 +130,7 @@ def test_parts_that_are_given_by_callables_may_end_inside_edges():
     problem = membrane(
         of_mesh(square(), "test"), boundary=[Part("a side", where=where, value=field(0.0, "test: value"))]
     )
-    problem.set_reference(problem.cold_start())
-    solve_vi(problem)
+    solve_vi(begun(problem))
     assert Estimator(problem).bound().words.startswith("an indicator: a side where")
 
 
@@ -187,8 +187,7 @@ def test_data_of_some_cells_on_any_number_of_ranks():
     found = []
     for part in (-8 * (1 + x[0]), lambda x: -8 * (1 + x[0]) + 0 * x[0].max()):
         problem = membrane(level, load={"few": part, "rest": -1.0})
-        problem.set_reference(problem.cold_start())
-        solve_penalty(problem, 1e-6)
+        solve_penalty(begun(problem), 1e-6)
         bound = Estimator(problem).bound()
         assert "sampled load" in bound.words
         found.append(bound.total)
@@ -202,6 +201,5 @@ def test_functions_away_from_the_origin():
     value.interpolate(lambda x: x[0] ** 2)
     level = of_pair(of_mesh(mesh, "test"), pairs()["P2"])
     problem = membrane(level, lower=None, boundary=[Part("all", value=field(value, "test: value"))])
-    problem.set_reference(problem.cold_start())
-    solve_penalty(problem, 1.0)
+    solve_penalty(begun(problem), 1.0)
     assert np.isfinite(Estimator(problem).bound().total)

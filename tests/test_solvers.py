@@ -7,11 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
-from dolfinx import mesh as dmesh
-from petsc4py import PETSc
 
-from fenicsx_obstacle import NotConverged, ObstacleProblem, Scene, releases, solve
+from fenicsx_obstacle import NotConverged, ObstacleProblem, Scene, solve
 from fenicsx_obstacle.algebra import newton
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.nested import begin_from
@@ -20,6 +17,7 @@ from fenicsx_obstacle.algebra.stopping import CYCLING
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest
 from tests.conftest import BENCHMARKS, COMM, DEMOS, MORE_ON_SEVERAL_RANKS, membrane, slow_except
+from tests.helpers import Membrane
 
 sys.path.insert(0, str(DEMOS))
 TRUE_MAXIMUM = 6.0e-4  # nodal error of the discrete solution on 64 cells; what is more is the solver's
@@ -259,13 +257,9 @@ LAWS = {
 @pytest.mark.parametrize("law", LAWS)
 def test_full_steps_for_nonlinear_forms_without_an_energy(law, degree, eps):
     """The norm of the residual is of the size of 1/eps after the first step: a search on it takes 40 to 130 steps."""
-    mesh = dmesh.create_unit_square(COMM, 24 // degree, 24 // degree)
-    mesh.topology.create_connectivity(1, 2)
-    V = releases.functionspace(mesh, "Lagrange", degree)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    edge = fem.locate_dofs_topological(V, 1, dmesh.exterior_facet_indices(mesh.topology))
-    F = (LAWS[law](u, v) + 3 * v) * ufl.dx
-    problem = ObstacleProblem(F, u, bcs=fem.dirichletbc(PETSc.ScalarType(0), edge, V), lower=-0.1)
+    own = Membrane(degree=degree, cells=24 // degree)
+    u, F = own.u, (LAWS[law](own.u, own.v) + 3 * own.v) * ufl.dx
+    problem = ObstacleProblem(F, u, bcs=own.bc, lower=-0.1)
     force, steps = [], []
     for how in ({"eps": eps}, {"method": "vi"}):
         u.x.array[:] = 0.0

@@ -132,7 +132,13 @@ def contradictions() -> Iterator[Broken]:
         ("eps by place", {"[solve] eps": '"x"'}, ["[solve] eps", "'x'"]),
         ("floor in the solution", {"[exact] u": '"floor(x)"'}, ["[exact] u", "floor"]),
         ("distance in the solution", {"[exact] u": '"distance"'}, ["[exact] u", "distance"]),
-        ("pressure without solution", {"[exact] pressure": "0"}, ["[exact]", "'u'"]),
+        ("pressure without solution", {"[exact] pressure": "0"}, ["[exact] the key 'u' is missing"]),
+        ("pressure of an unknown name", {"[exact] u": "0", "[exact] pressure": '"q7"'},
+         ["[exact] pressure: unknown name 'q7'"]),
+        ("a misspelt pressure", {"[exact] u": "0", "[exact] presure": "0"},
+         ["[exact] unknown key 'presure'; did you mean 'pressure'"]),
+        ("pressure by distance", {"[exact] u": "0", "[exact] pressure": '"distance"'}, ["not allowed in [exact"]),
+        ("a rate of no norm", {"[exact] u": "0", "[exact] rates": "{l3 = 1}"}, ["unknown key 'l3'"]),
         ("a field outside of a functional", {"[report] q": '"2*u"'},
          ["[report] q", "'u' is a field: use integral, at, max or min of it\n    2*u\n      ^"]),
         ("a definition outside", {"[define] f": '"x"', "[report] q": '"1 + f"'}, ["[report] q", "'f' is a field"]),
@@ -177,6 +183,35 @@ def contradictions() -> Iterator[Broken]:
         ],
         files={SCENE: text},
     )
+
+
+def broken_heights() -> Iterator[Broken]:
+    """Tables of heights that are none."""
+    square = b"0,0,1\n1,0,2\n0,1,3\n1,1,4\n"
+    cases: list[tuple[bytes | None, str, str]] = [
+        (None, "", "no such file"),
+        (b"", "", "is empty"),
+        (b"x,y,z\n", "", "holds no numbers"),
+        (b"0,0,1\n1,0,2\n0,1\n", "", "line 3 has 2 columns, the lines before it 3"),
+        (b"x,y,z\n0,0,1\n1,0,two\n0,1,1\n", "", "line 3: 'two' is no number"),
+        (b"0,0,1\n1,0,nan\n0,1,\n1,1,1\n", "",
+         "2 of 4 values are not finite numbers: at (1, 0); (0, 1); replace"),
+        (b"0,0,1\n1,1,2\n2,2,3\n", "", "3 points that span no area"),
+        (b"0,0,1\n1,0,2\n0,1,3\n0,0,4\n", "", "two heights or more at (0, 0)"),
+        (b"1,2,3,4\n1,2,3,4\n", "", "heights alone, 2 x 4: give extents, x = "),
+        (b"1,2,3,4\n1,2,3,4\n", "x = [1, 0], y = [0, 1]", "x must ascend"),
+        (square, "x = [0, 1]", "x has no meaning for data that have coordinates"),
+        (square, "scale = 0", "scale = 0"),
+        (square, "shift = [1, 2]", "shift = [1.0, 2.0]: expected [x, y, z]"),
+        (square, "shft = [1, 2, 3]", "unknown key 'shft'; did you mean 'shift'"),
+        (b"0,0,1\n1,0,2\n0,1,3\n", "smooth = 0.1", "smooth is for heights on a grid"),
+        (square.replace(b"\n1,", b"\n0.9,"), "", "; the data reach over x = 0 .. 0.9, y = 0 .. 1"),
+    ]  # fmt: skip
+    for content, keys, message in cases:
+        datum = f'{{file = "bad.csv"{", " * bool(keys)}{keys}}}'
+        text = scene_text({**LINES, "[obstacle] upper": None, "[obstacle] lower": datum})
+        yield Broken(f"heights: {message}", [SCENE, "[obstacle] lower", message],
+                     files={SCENE: text.encode(), **({} if content is None else {"bad.csv": content})})  # fmt: skip
 
 
 def _profiles() -> Iterator[tuple[str, dict[str, str | None], list[str]]]:
