@@ -178,9 +178,8 @@ BAD = {
 }
 
 
-def spotted(size=1.0, **more):
-    axis = [0, size]
-    return Scene(mesh={"shape": "rectangle", "x": axis, "y": axis, "cells": 16}, load=-1, **more)
+def spotted(**more):
+    return Scene(mesh={"shape": "rectangle", "cells": 16}, load=-1, **more)
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -190,29 +189,25 @@ def test_a_spot_between_the_samples(name):
         solve(spotted(**BAD[name]))
 
 
-@pytest.mark.parametrize("size", [1e-3, 1e6])
-def test_the_unit_of_length_does_not_matter(size):
-    """Millimetres and metres: the same spot."""
+def on_mesh(shape, cells, where="@", size=1.0, **more):
+    """A tension that is -1 in the spot, or elsewhere, on another mesh."""
+    axes = {axis: [0, size] for axis in "xy"} if shape == "rectangle" else {}
+    spot = where.replace("@", f"hypot(x - {0.503 * size}, y - {0.497 * size}) < {0.004 * size}")
+    return Scene(mesh={"shape": shape, "cells": cells, **axes, **more}, load=-1, tension=f"where({spot}, -1, 1)")
+
+
+@pytest.mark.parametrize(
+    ("made", "element"),
+    [(on_mesh("rectangle", 16, size=1e-3), None), (on_mesh("rectangle", 16, size=1e6), None),
+     (on_mesh("rectangle", 6), "P2"), (on_mesh("rectangle", 6, cell="quadrilateral"), "Q1"),
+     (on_mesh("interval", 32, "abs(x - 0.503) < 1e-4"), None),
+     (on_mesh("box", 4, "hypot(hypot(x - 0.503, y - 0.497), z - 0.33) < 0.01"), None)],
+    ids=["millimetres", "large", "P2", "quadrilaterals", "interval", "solid"],
+)  # fmt: skip
+def test_a_spot_on_other_meshes(made, element):
+    """Whatever the unit of length, the element and the dimension."""
     with pytest.raises(InputError, match="must be positive; it is -1"):
-        solve(spotted(size, tension=f"where(hypot(x - {0.503 * size}, y - {0.497 * size}) < {0.004 * size}, -1, 1)"))
-
-
-@pytest.mark.parametrize("element", ["P2", "Q1"])
-def test_other_elements(element):
-    """The same with quadratic elements and on quadrilaterals."""
-    cell = {"cell": "quadrilateral"} if element == "Q1" else {}
-    mesh = {"shape": "rectangle", "cells": 6, **cell}
-    with pytest.raises(InputError, match="must be positive; it is -1"):
-        solve(Scene(mesh=mesh, load=-1, tension=f"where({SPOT}, -1, 1)"), element=element)
-
-
-@pytest.mark.parametrize("dim", [1, 3])
-def test_other_dimensions(dim):
-    """Intervals and solids."""
-    mesh = {"shape": "interval", "cells": 32} if dim == 1 else {"shape": "box", "cells": 4}
-    ball = "abs(x - 0.503) < 1e-4" if dim == 1 else "hypot(hypot(x - 0.503, y - 0.497), z - 0.33) < 0.01"
-    with pytest.raises(InputError, match="must be positive; it is -1"):
-        solve(Scene(mesh=mesh, tension=f"where({ball}, -1, 1)", load=-1))
+        solve(made, **({} if element is None else {"element": element}))
 
 
 ADMISSIBLE = {

@@ -68,17 +68,14 @@ def test_own_forms(options):
     assert linear == any("direct solver" in finding.name for finding in found.findings)
 
 
-@pytest.mark.parametrize("name", ["awning", "bearing", "dam", "foam", "lift_off", "two_sided", "hertz_cylinder",
-                                  "stamp"])  # fmt: skip
+QUICK = ("awning", "bearing", "dam", "foam", "lift_off", "two_sided", "hertz_cylinder", "stamp")
+SLOW = ("creep", "hertz_sphere", "l_shape", "pollutant", "soap", "wall")
+
+
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 def test_demos(name):
     found = solve(ROOT / "demos" / f"{name}.toml").verify()
     assert found, str(found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["creep", "hertz_sphere", "l_shape", "pollutant", "soap", "wall"])
-def test_more_demos(name):
-    test_demos(name)
 
 
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1", "P1-voronoi", "Q1-gauss"])
