@@ -156,6 +156,7 @@ def test_obstacles_that_cannot_be_taken():
         ([0.3], r"upper = \[0\.3\]: expected"),
         (lambda: 0.3, r"the callable takes x of shape \(3, n\).*TypeError"),
         (lambda x: x, "the callable takes x of shape"),
+        (lambda x, y: 0.3 + y, "upper: the callable takes two arguments"),
         (lambda x: "high", "the callable takes x of shape"),
         (lambda x: 0.3 + 1j * x[0], "the callable takes x of shape.*TypeError: complex values"),
         (0.3 + 0.1j, r"upper = \(0\.3\+0\.1j\): expected a number"),

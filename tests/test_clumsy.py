@@ -211,8 +211,11 @@ def test_a_full_standard_output_is_told_at_the_end(ranks, json_too, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.serial
-@pytest.mark.parametrize("arguments", [["--help"], ["scenes"], ["solve", "ball", "--cells", "4"]])
-@pytest.mark.parametrize("how", ["full", "closed pipe", "none"])
+@pytest.mark.parametrize(
+    ("arguments", "how"),
+    [(["--help"], "full"), (["scenes"], "closed pipe"),
+     *((["solve", "ball", "--cells", "4"], how) for how in ("full", "closed pipe", "none"))],
+)  # fmt: skip
 def test_output_that_cannot_be_written(arguments, how, tmp_path):
     """A full device and a closed pipe are told in one line; a stream that is closed is nobody's loss."""
     command = [sys.executable, "-m", "fenicsx_obstacle", *arguments]

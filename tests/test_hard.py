@@ -18,7 +18,7 @@ from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.effects.effect import find, known
-from tests.conftest import CLEAN, COMM, DEMOS, ON_SEVERAL_RANKS, membrane, slow_except
+from tests.conftest import CLEAN, COMM, ON_SEVERAL_RANKS, membrane, slow_except
 from tests.hard.cases import FOLDER, Case, case, cases, named
 from tests.hard.invariants import beside_inequality, falling, of_one, same
 from tests.hard.judge import METHODS, judge, take
@@ -43,8 +43,6 @@ def test_the_list():
     assert len(cases()) >= 40
     assert {path.stem for path in FOLDER.glob("*.toml")} - {"suite"} <= {one.scene or one.name for one in cases()}
     assert all(one.hard for one in cases())
-    told = (DEMOS.parent / "docs" / "tables" / "hard_scenes.md").read_text()
-    assert all(f"| {one.name} |" in told for one in cases())
     assert named("drift") == tuple(one for one in cases() if one.family == "drift")
     with pytest.raises(InputError, match="did you mean 'ridge'"):
         case("rigde")

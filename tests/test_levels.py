@@ -149,12 +149,13 @@ def test_parts_of_a_file_halved_several_times(folder):
         assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
 
 
-def test_xdmf_with_numbered_tags(folder):
-    """XDMF has no names: the numbers of its tags serve."""
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_xdmf_with_numbered_tags(cell, folder):
+    """A file of DOLFINx. XDMF has no names: the numbers of its tags serve."""
     from dolfinx import io
     from dolfinx import mesh as dmesh
 
-    square = dmesh.create_unit_square(COMM, 6, 6)
+    square = dmesh.create_unit_square(COMM, 6, 6, getattr(dmesh.CellType, cell))
     square.topology.create_connectivity(1, 2)
     left = dmesh.locate_entities_boundary(square, 1, lambda x: np.isclose(x[0], 0))
     tags = dmesh.meshtags(square, 1, np.sort(left), np.full(len(left), 3, np.int32))

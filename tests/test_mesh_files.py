@@ -19,6 +19,8 @@ from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM, slow_except
 
 FORMATS = [(2.2, 0, 0), (2.2, 1, 1), (4.1, 1, 0), (4.1, 0, 1)]  # version, binary, also what is in no group
+GROUPED = [*(("names", *one) for one in FORMATS),
+           *((kind, *one) for kind in ("curves", "cells", "numbers") for one in FORMATS[::3])]  # fmt: skip
 
 
 def saved(path, draw, version=4.1, binary=0, everything=1, order=1, dim=None):
@@ -108,8 +110,7 @@ def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("version", "binary", "everything"), slow_except(FORMATS, FORMATS[0]))
-@pytest.mark.parametrize("kind", ["curves", "cells", "numbers", "names"])
+@pytest.mark.parametrize(("kind", "version", "binary", "everything"), slow_except(GROUPED, *GROUPED[:4:3]))
 def test_physical_groups(folder, kind, version, binary, everything):
     """Groups of curves only, of cells only, without names, of several dimensions with one number, with names."""
 
@@ -575,8 +576,7 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.parametrize("what", PROGRAMS)
-@pytest.mark.parametrize("suffix", [".geo", ".msh"])
+@pytest.mark.parametrize(("what", "suffix"), [*((what, ".geo") for what in PROGRAMS), ("a command", ".msh")])
 def test_a_mesh_file_starts_no_program_and_writes_no_file(folder, what, suffix):
     """One message, and nothing has happened. What ends in .msh and is none is not read at all."""
     target = folder / "target"

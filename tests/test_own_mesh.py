@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, io
+from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -182,16 +182,6 @@ def test_hexahedra_are_saved(folder):
     read = Answer.read(folder)
     assert read.force == answer.force and np.isclose(read.at([0.4, 0.3, 0.6]), answer.at([0.4, 0.3, 0.6]), rtol=1e-12)
     assert np.isclose(solve(read.scene).energy, answer.energy, rtol=1e-9)
-
-
-def test_quadrilaterals_of_a_file(folder):
-    """A mesh of quadrilaterals that DOLFINx has written as XDMF, by its scene: the solution on the mesh itself."""
-    mesh = dmesh.create_unit_square(COMM, 5, 4, cell_type=dmesh.CellType.quadrilateral)
-    with io.XDMFFile(COMM, str(folder / "mesh.xdmf"), "w") as file:
-        file.write_mesh(mesh)
-    given = {"tension": 1, "load": -4, "lower": -0.05}
-    there = Scene(mesh={"file": str(folder / "mesh.xdmf")}, **given).change({"solve.element": "Q1"})
-    assert np.isclose(solve(there).energy, solve(Scene(mesh=mesh, **given)).energy, rtol=1e-10)
 
 
 @pytest.mark.slow

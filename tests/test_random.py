@@ -20,7 +20,7 @@ from tests.random.own_forms import Drawn, OwnForm, not_in_balance
 from tests.random.own_forms import judged as judged_form
 from tests.random.show import HEADS, show_random, table
 
-COUNT = {1: 20}  # on more ranks 6
+COUNT = {1: 12}  # on more ranks 6
 OF_EACH = {1: 2}  # on more ranks 1
 # families whose scenes take long, and one of which the third scene is the first whose error is bounded
 OTHERS = {"tetrahedra": 1, "supported": 1, "touching": 1, "anisotropic": 1, "sectors": 3}

@@ -88,16 +88,6 @@ def test_another_reference_leaves_u():
     assert largest(COMM, np.abs(problem.state.r[~fixed] - 0.25)) == 0
 
 
-@pytest.mark.slow
-def test_petsc_options_override(ball):
-    """A user's option under the solver's prefix wins over the default."""
-    with defaults("penalty_", {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}):
-        direct = solve(ball, eps=1e-6)
-    assert direct.record["krylov_iterations"] == direct.record["newton_iterations"]
-    iterative = solve(ball, eps=1e-6)
-    assert np.isclose(direct.record["energy"], iterative.record["energy"], rtol=1e-10)
-
-
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_unconverged_is_no_answer(ball, method):
     with (defaults(f"{method}_", {"snes_max_it": 3}), defaults("penalty_", {"snes_linesearch_type": "basic"}),
