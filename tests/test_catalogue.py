@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
@@ -242,13 +242,6 @@ def test_demos_are_the_catalogue_s():
     """One file for a scene: demos/ points to it."""
     for demo, name in (("string", "string_parabola"), ("disk", "disk_flat"), ("two_sided", "two_obstacle_square")):
         assert Scene.read(DEMOS / f"{demo}.toml").tables == catalogue.scene(name).tables
-
-
-def test_nearest_name():
-    with pytest.raises(InputError, match="bal: no such scene; did you mean 'ball'"):
-        catalogue.read("bal")
-    with pytest.raises(InputError, match=r"bal.toml: no such scene file"):
-        catalogue.read("bal.toml")
 
 
 @pytest.mark.serial

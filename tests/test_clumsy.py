@@ -12,8 +12,6 @@ import pytest
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear import defaults
-from fenicsx_obstacle.console import tolerance_status
-from fenicsx_obstacle.errors import NOT_REACHED
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.show.figures import heading
@@ -144,16 +142,6 @@ def test_options_give_what_a_scene_lacks(folder):
     other = Scene.read(DEMOS / "disk.toml").change({"boundary.0.value": 0.0})
     assert other.tables.boundary[0].value == 0.0
     assert other.change({"mesh.x.1": 2}).tables.mesh.x == ("-sqrt(0.5)", 2)
-
-
-def test_a_tolerance_that_the_budget_does_not_allow():
-    """The answer comes back from Python, and the command line has a status of its own for it."""
-    scene = membrane(load=-9, lower=-0.1)
-    answer = solve(scene, tol=1e-3, budget="300 unknowns")
-    assert answer.record["adaptive"]["reached"] is False
-    assert tolerance_status(answer.record, Path("out")) == NOT_REACHED == 4
-    assert tolerance_status(solve(scene, tol=0.5).record, Path("out")) == 0
-    assert tolerance_status(solve(scene).record, Path("out")) == 0
 
 
 def launched(ranks, *arguments, **options):

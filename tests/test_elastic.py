@@ -251,20 +251,6 @@ def test_saved_and_read(cell, degree, folder):
         compare(again, solution)
 
 
-@pytest.mark.variant
-@pytest.mark.slow
-@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
-@pytest.mark.usefixtures("matplotlib_draws")
-def test_picture(dim, folder):
-    """The deformed body with its stress, the obstacle, and the pressure: a page with axes for each."""
-    body = Box(6, dim)
-    picture = body.problem(stress=stress(strain_of(body.u), 0.3)).solve().plot(folder / "body.png")
-    if COMM.rank == 0:
-        assert (folder / "body.png").stat().st_size > 10_000
-        labels = " ".join(axis.get_ylabel() for axis in picture.page.axes)
-        assert "von Mises stress" in labels and "contact pressure" in labels
-
-
 @pytest.mark.slow
 def test_order_in_eps():
     """On a fixed mesh the force differs from that of the variational inequality by O(eps), down to eps = 1e-10."""

@@ -97,12 +97,6 @@ def test_change_and_round_trip(disk, folder):
         disk.change({"mesh.cells": 1.5})
 
 
-def test_scene_from_python():
-    """Scene(mesh=..., tension=..., lower=...): by default u = 0 on the whole boundary."""
-    answer = solve(membrane(lower="0.3 - (x - 1/2)^2 - (y - 1/2)^2 - 0.2"), eps=1e-6)
-    assert answer.record["contact"]["lower"]["force"] > 0
-
-
 def test_boundaries_overlap_in_order_and_unlisted_parts_are_free():
     """u = x between left and right: bottom and top are free, so u is linear."""
     scene = membrane(boundary=[{"on": "left", "value": 0}, {"on": ["right"], "value": "1"}], exact="x")
