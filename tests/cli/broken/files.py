@@ -177,14 +177,14 @@ def contradictions() -> Iterator[Broken]:
     for what, changed, names in [*cases, *_profiles()]:
         text = scene_text({**LINES, **changed})
         yield Broken(f"scene: {what}", [SCENE, *names], files={SCENE: text.encode()})
-    text = PLAIN.replace(b"upper = 0.5", b"upper = '3/2 - y'") + b"[[boundary]]\non = 'top'\nvalue = 'x'\n"
+    several = PLAIN.replace(b"upper = 0.5", b"upper = '3/2 - y'") + b"[[boundary]]\non = 'top'\nvalue = 'x'\n"
     yield Broken(
         "scene: a boundary value above, of the last of several parts",
         [
             SCENE,
             "(no. 2) value = x lies above the upper obstacle: 1 against 0.5 at (1, 1), so that no u satisfies both",
         ],
-        files={SCENE: text},
+        files={SCENE: several},
     )
 
 
@@ -237,11 +237,11 @@ def _profiles() -> Iterator[tuple[str, dict[str, str | None], list[str]]]:
     moving: dict[str, str | None] = {"[time] end": "1", "[time] steps": "2"}
     for what, keys, message in cases:
         lines: dict[str, str | None] = {f"[profile.line] {key}": value for key, value in keys.items()}
-        for more, when in (({}, ""), (moving, ", in time")):
-            yield f"a profile {what}{when}", {**lines, **more}, ["[profile.line]", message]
-    for name, more in (("a" * 200, {}), ("\u00e9" * 60, moving)):
+        yield f"a profile {what}", lines, ["[profile.line]", message]
+        yield f"a profile {what}, in time", {**lines, **moving}, ["[profile.line]", message]
+    for name in ("a" * 200, "\u00e9" * 60):
         table = f"[profile.'{name}']"
-        yield "a profile's long name", {f"{table} from": "[0, 0]", f"{table} to": "[1, 1]", **more}, ["[profile."]
+        yield "a profile's long name", {f"{table} from": "[0, 0]", f"{table} to": "[1, 1]", **moving}, ["[profile."]
 
 
 def broken_meshes(right: Mapping[str, bytes]) -> Iterator[Broken]:
