@@ -39,6 +39,7 @@ PATIENCE = 30  # seconds
 # linear steps more than on one rank: Gauss-Seidel is that of each rank's own unknowns, and which rank owns a shared
 # vertex, and its number, differ from one call of `create_mesh` to the next
 MORE_ON_SEVERAL_RANKS = 2 if COMM.size > 1 else 0
+ON_SEVERAL_RANKS = pytest.mark.skipif(COMM.size == 1, reason="compares several ranks with one")
 ALL_SERIAL = pytest.StashKey[bool]()
 DEMOS = Path(__file__).parent.parent / "demos"
 BENCHMARKS = DEMOS.parent / "benchmarks"

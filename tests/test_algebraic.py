@@ -18,7 +18,8 @@ from fenicsx_obstacle.discrete import hierarchy
 from fenicsx_obstacle.discrete.hierarchy import galerkin_systems
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
-from tests.conftest import COMM, by_hand, slow_except
+from tests.conftest import COMM, ON_SEVERAL_RANKS, by_hand, slow_except
+from tests.helpers import cut, grid
 
 R = 0.6979651482233736  # of the contact set of the ball
 BALL = {
@@ -102,23 +103,11 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
 @pytest.mark.slow
 def test_a_mesh_from_gmsh(folder):
     """Delaunay triangles: few steps, and the error of the exact solution halves with h."""
-
-    def draw(size):
-        import gmsh
-
-        gmsh.initialize([], False)
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.occ.addRectangle(-2, -2, 0, 4, 4)
-        gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-        gmsh.model.mesh.generate(2)
-        gmsh.write(str(folder / f"{size}.msh"))
-        gmsh.finalize()
-
     errors = []
     for size in (0.1, 0.05):
-        on_root(COMM, draw, size)
-        answer = solve(Scene(mesh={"file": str(folder / f"{size}.msh")}, **BALL,
+        text = f'SetFactory("OpenCASCADE"); Rectangle(1) = {{-2, -2, 0, 4, 4}}; Mesh.MeshSizeMax = {size};\n'
+        on_root(COMM, (folder / f"{size}.geo").write_text, text)
+        answer = solve(Scene(mesh={"file": str(folder / f"{size}.geo")}, **BALL,
                              exact=f"where(r < {R}, sqrt(1 - r^2), {BALL['boundary'][0]['value']})"))  # fmt: skip
         assert counts(answer)[0] <= 6 and counts(answer)[1] <= 20
         errors.append(answer.record["errors"]["energy"])
@@ -239,6 +228,7 @@ def test_coarse_weights_are_not_negative():
     assert np.allclose(coarse_module._weights(np.array([1.0, 4.0]), transfer, thin=False), [5.0, 0.0], atol=1e-15)
 
 
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_counts_are_those_of_one_rank(method):
@@ -256,21 +246,6 @@ def test_counts_are_those_of_one_rank(method):
     assert ours.record["energy"] == pytest.approx(alone.record["energy"], rel=1e-9)
     levels = [[one.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
     assert levels[0] == levels[1]
-
-
-def grid(cells, slit):
-    """Points and triangles of (-1, 1)^2; with a slit from the left side to the middle, of nodes at the same places."""
-    n = cells + 1
-    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n))
-    numbers = np.arange(n * n).reshape(n, n)
-    lower, upper = numbers[:-1].copy(), numbers[1:]
-    points = np.column_stack([x.ravel(), y.ravel()])
-    if slit:
-        middle, length = cells // 2, cells // 2
-        lower[middle, :length] = n * n + np.arange(length)  # for the cells above
-        points = np.vstack([points, points[numbers[middle, :length]]])
-    squares = np.stack([lower[:, :-1], lower[:, 1:], upper[:, :-1], upper[:, 1:]], axis=2).reshape(-1, 4)
-    return points, np.vstack([squares[:, [0, 1, 3]], squares[:, [0, 3, 2]]])
 
 
 def test_levels_depend_on_neither_unit_nor_place():
@@ -295,14 +270,17 @@ def test_levels_depend_on_neither_unit_nor_place():
 
 def test_ranks_without_cells():
     """They work along."""
-    scene = Scene(mesh=by_hand(*grid(48, slit=False)), tension=1, load=-4, lower="-0.3 - 0.1*x")
+    scene = Scene(mesh=by_hand(*grid(48, 48, (-1, -1), (2, 2))), tension=1, load=-4, lower="-0.3 - 0.1*x")
     assert counts(solve(scene))[0] <= 6
 
 
 @pytest.mark.slow
 def test_a_slit():
     """Nodes at one place are different nodes: u jumps across the slit, and takes few steps to be found."""
-    scene = Scene(mesh=by_hand(*grid(64, slit=True)), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
+    points, cells = grid(64, 64, (-1, -1), (2, 2))
+    along = (np.abs(points[:, 1]) < 1e-9) & (points[:, 0] < -1e-9)
+    points, cells = cut(points, cells, along, points[cells].mean(axis=1)[:, 1] > 0)
+    scene = Scene(mesh=by_hand(points, cells), tension=1, load="where(y > 0, 6, -6)", lower="-0.3 - 0.1*x",
                   boundary=[{"where": "x == 1", "value": 0}])  # fmt: skip
     ours, cold = solve(scene), solve(scene, start="cold")
     assert difference(ours, cold) <= 1e-9

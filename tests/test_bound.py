@@ -1,29 +1,22 @@
 """The error bound: its flux is in balance, no known error is above it, and it is near."""
 
-import itertools
 import json
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, Scene, polynomials, solve
+from fenicsx_obstacle import Scene, compare, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.bound import Bound
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.parallel import largest, smallest, total
-from fenicsx_obstacle.releases import vec
 from fenicsx_obstacle.scenes import catalogue
-from tests.conftest import COMM, membrane, slow_except
+from tests.conftest import COMM, ON_SEVERAL_RANKS, membrane, slow_except
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 ROUND_OFF = 1e-12
@@ -89,28 +82,6 @@ def measured(name: str) -> dict[str, SimpleNamespace]:
         )
     context.close()
     return found
-
-
-@pytest.mark.slow
-def test_the_flux_is_in_balance():
-    """div sigma = -(f_0 + lambda - nu + rho) in each cell, its normal part is continuous, and closed patches close."""
-    for name, perturb in itertools.product(("ball", "two_obstacle_square", "free side"), (0.0, 0.3)):
-        scene = scenes()[name].change({"mesh.perturb": perturb})
-        context = SolverContext(scene)
-        context.answer()
-        problem, element = context.problem, context.estimator.element
-        simplices, equilibration = element.simplices, element.equilibration
-        lower, upper = problem.gaps()
-        flux = equilibration.flux(problem.solution().x.array, lower <= 0, upper <= 0)
-        pressure = (flux.lower - flux.upper + flux.rest[simplices.dofs]).mean(axis=1)
-        load = equilibration.load.moments.sum(axis=1) / simplices.area  # f_0
-        scale = largest(COMM, np.abs(load)) + largest(COMM, np.abs(pressure))
-        balance = flux.normal.sum(axis=1) / simplices.area + load + pressure
-        assert largest(COMM, np.abs(balance)) < 1e-13 * max(scale, 1.0) * 10
-        both = np.bincount(simplices.facets.ravel(), weights=flux.normal.ravel())
-        inside = np.bincount(simplices.facets.ravel()) == 2
-        assert largest(COMM, np.abs(both[inside])) <= 2e-15 * largest(COMM, np.abs(flux.normal))
-        assert largest(COMM, np.abs(flux.rest)) < (1e-6 if name == "ball" else np.inf)  # its load is constant
 
 
 @pytest.mark.parametrize("name", slow_except(NAMES, *NAMES[:4]))
@@ -214,49 +185,27 @@ def test_the_bound_of_the_admissible_state_is_a_root(boundary, more):
 def test_peaks_between_nodes_are_not_overlooked():
     """Eight periods on sixteen cells are zero at all nodes; the solution on a mesh that sees them is far off."""
     wavy = "0.3 - 2*((x - 1/2)^2 + (y - 1/2)^2) + 0.05*sin(16*pi*x)*cos(16*pi*y)"
-    coarse = SolverContext(membrane(lower=wavy))
-    answer = coarse.answer(bound=True)
-    fine = SolverContext(
-        membrane(
-            lower=wavy,
-            mesh={"shape": "rectangle", "cells": 128},
-        ).change({"solve.eps": 1e-10})
-    )
-    reference = fine.answer()
-    # the same points on every rank, as values_of wants them
-    own = COMM.allgather(fine.problem.level.points[:, : fine.problem.level.owned].T)
-    start = sum(len(part) for part in own[: COMM.rank])
-    at = values_of(answer.u, np.concatenate(own))[start : start + len(own[COMM.rank])]
-    e = reference.u.x.array.copy()
-    e[: len(at)] -= at
-    error = distance(fine.problem, e)
+    answer = solve(membrane(lower=wavy), bound=True)
+    reference = solve(membrane(lower=wavy), cells=128, eps=1e-10)
+    error = compare(answer, reference)["u"]["energy"]
     assert error > answer.bound.discretisation + answer.bound.penalty
     assert error <= answer.bound.total
 
 
-def distance(problem: Problem, owned: np.ndarray) -> float:
-    """||grad e|| of a function from its values at owned dofs."""
-    e = fem.Function(problem.level.V)
-    e.x.array[: problem.level.owned] = owned[: problem.level.owned]
-    e.x.scatter_forward()
-    Ae = vec(e).duplicate()
-    problem.matrices.stiffness.mult(vec(e), Ae)
-    value = np.sqrt(Ae.dot(vec(e)))
-    Ae.destroy()
-    return value
-
-
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 def test_the_same_on_any_number_of_ranks():
-    """Patches cross the ranks: bound and parts agree with those of one rank to 1e-10; ranks without cells are
-    served."""
-    for name, cells in (("ball", 32), ("two_obstacle_square", 16), ("free side", 1)):
-        scene = scenes()[name].change({"mesh.cells": cells, "solve.eps": "h^2"})
+    """Patches cross the ranks: bound and parts agree with those of one rank to 1e-10, with P2 to 1e-9; ranks without
+    cells are served."""
+    for name, cells, element in (("ball", 32, "P1"), ("two_obstacle_square", 16, "P1"), ("free side", 1, "P1"),
+                                 ("ball", 16, "P2"), ("two_obstacle_square", 16, "P2")):  # fmt: skip
+        scene = scenes()[name].change({"mesh.cells": cells, "solve.eps": "h^2", "solve.element": element})
         together, alone = (solve(scene, comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
+        apart = 1e-10 if element == "P1" else 1e-9
         for key in ("total", "admissible_total", "discretisation", "penalty", "data"):
             one, other = getattr(together, key), getattr(alone, key)
-            assert abs(one - other) <= 1e-10 * alone.total, (name, key)
-        assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-9)
+            assert abs(one - other) <= apart * alone.total, (name, key)
+        assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=10 * apart)
 
 
 def test_summary_and_record():
@@ -279,22 +228,6 @@ def test_units_and_heights_change_nothing():
     assert np.isclose(plain.total, high.total, rtol=1e-6)
 
 
-@pytest.mark.slow
-def test_what_it_does_not_know_is_said():
-    """Other effects: an indicator; curved domains: for the polygon; values that jump, other elements: an error."""
-    bound = solve(membrane(load=1, upper=0.05, drift=[5, 0]), bound=True).bound
-    assert not bound.guaranteed and "foundation, flux and spring, not drift" in bound.words
-    assert bound.algebraic < 1e-8 * bound.total  # its forces are in the balance nevertheless
-    assert 0.5 < bound.discretisation / solve(membrane(load=1, upper=0.05), bound=True).bound.discretisation < 2
-    polygon = solve(Scene(mesh={"shape": "disk", "cells": 16}, tension=1, load=4), bound=True).bound
-    assert not polygon.guaranteed and polygon.words == "certified on the polygon of the mesh"
-    torn = membrane(load=1, boundary=[{"value": 0}, {"on": "top", "value": 1}])
-    with pytest.raises(InputError, match=r"boundary values jump at \(., 1\), from 0 to 1"):
-        solve(torn, bound=True)
-    with pytest.raises(InputError, match="P1 on intervals"):
-        solve(Scene(mesh={"shape": "rectangle", "cell": "quadrilateral"}, tension=1, load=1), bound=True)
-
-
 def test_held_curves_inside():
     """Where u is given on a curve inside the domain the flux may jump: two squares side by side, each on its own."""
     scene = membrane(load="2*pi^2*sin(pi*x)*sin(pi*y)", lower=-1)
@@ -314,83 +247,20 @@ def test_held_curves_inside():
     assert np.isclose(total(COMM, both.indicator), np.sqrt(2) * total(COMM, one.indicator), rtol=1e-9)
 
 
-def drawn(rng: np.random.Generator) -> dict[str, Any]:
-    """Data of `random_case`."""
-    ranges = {"push": (0, 30), "radius": (0.05, 0.3), "bend": (0, 50), "shear": (-2, 2), "perturb": (0, 0.3)}
-    choices = {
-        "side": ["lower", "upper"], "eps": [1e-1, 1e-2, 1e-3, 1e-5, 1e-10], "cells": range(3, 17),
-        "diagonal": ["right", "left", "crossed"], "noise": [0.0, 0.0, 1e-6, 1e-2, 0.3],
-    }  # fmt: skip
-    given = {key: float(rng.uniform(*ends)) for key, ends in ranges.items()}
-    given |= {key: values[rng.integers(len(values))] for key, values in choices.items()}
-    wave = rng.uniform([-1, -1, -1, 0.5, 0.5, 0], [1, 1, 1, 6, 6, 6]).tolist()
-    return {**given, "wave": wave, "mu": float(10 ** rng.uniform(-2, 2)), "centre": rng.uniform(0.2, 0.8, 2).tolist()}
-
-
-def random_case(**given) -> tuple[Bound, float, float]:
-    """A solution is chosen, obstacle and load follow from it; u_h is the penalty's, or that and noise.
-
-    Obtuse cells come from shearing the mesh, small angles from moving its vertices.
-
-    Returns:
-        The bound and the true errors of u_h and v_h.
-    """
-    b, c, d, k, m, phase = given["wave"]
-    mu, sign = given["mu"], 1 if given["side"] == "lower" else -1
-    shape = {"shape": "rectangle", "cells": given["cells"], "perturb": given["perturb"], "diagonal": given["diagonal"]}
-    if given["diagonal"] == "crossed":  # its cells are half as large: they must not overlap
-        shape["perturb"] /= 2
-    mesh = SolverContext(membrane(mesh=shape), COMM).problem.level.mesh
-    mesh.geometry.x[:, 0] += given["shear"] * mesh.geometry.x[:, 1]
-    (x0, y0), r = given["centre"], given["radius"]
-    define = {
-        "w": f"{b!r}*x + {c!r}*y + {d!r}*sin({k!r}*x + {m!r}*y + {phase!r})",
-        "far": f"hypot(x - {x0 + given['shear'] * y0!r}, y - {y0!r})",
-        "press": f"{given['push']!r}*max(1 - far^2/{r * r!r}, 0)",
-    }
-    scene = Scene(
-        mesh=mesh, tension=mu, define=define, boundary=[{"value": "w"}],
-        load=f"{mu * d * (k * k + m * m)!r}*sin({k!r}*x + {m!r}*y + {phase!r}) - {sign}*press",
-        **{given["side"]: f"w - {sign}*{given['bend']!r}*max(far - {r!r}, 0)^2"},
-    ).change({"solve.eps": given["eps"]})  # fmt: skip
-    context = SolverContext(scene)
-    u = context.answer().u
-    problem = context.problem
-    if given["noise"]:
-        x, y = problem.level.points[:2]
-        u.x.array[~fixed(problem)] += (given["noise"] * np.sin(37 * x + 11 * y) * np.cos(91 * y))[~fixed(problem)]
-        problem.set_reference(u.x.array[: problem.owned])
+@pytest.mark.parametrize("noise", [1e-6, 1e-2, 0.3])
+def test_of_what_is_no_solution(noise):
+    """The bound holds for any u_h, converged or not; of random scenes test_random.py has more."""
+    context = SolverContext(scenes()["ball"].change({"mesh.cells": 16}))
+    answer, problem = context.answer(), context.problem
+    x, y = problem.level.points[:2]
+    free = np.ones(len(x), dtype=bool)
+    free[problem.data.fixed[0]] = False
+    answer.u.x.array[free] += noise * (np.sin(37 * x + 11 * y) * np.cos(91 * y))[free]
+    problem.set_reference(answer.u.x.array[: problem.owned])
     bound = context.estimator.bound()
-    simplices, (points, weights) = context.estimator.element.simplices, halved_rule(1)
-    x, y = np.moveaxis(points @ simplices.x, 2, 0)
-    slope = d * np.cos(k * x + m * y + phase)
-    exact = np.stack([b + k * slope, c + m * slope])
-
-    def error(state: fem.Function) -> float:
-        e = exact - simplices.gradient(state.x.array)[:, :, None]
-        return np.sqrt(mu * total(COMM, simplices.area * ((e**2).sum(axis=0) @ weights)))
-
-    return bound, error(u), error(bound.admissible)
-
-
-def fixed(problem: Problem) -> np.ndarray:
-    """Whether u is given at local dofs."""
-    given = np.zeros(len(problem.data.fixed[1].x.array), dtype=bool)
-    given[problem.data.fixed[0]] = True
-    return given
-
-
-@pytest.mark.slow
-def test_random_scenes():
-    """Perturbed and obtuse meshes, any eps, converged or not: no error above its bound."""
-    rng = np.random.default_rng(1)
-    for _ in range(24 if COMM.size == 1 else 6):
-        bound, error, error_v = random_case(**drawn(rng))
-        assert bound.words.startswith("certified"), bound.words
-        # a linear solution is found up to round-off: both are a last digit of the norm then
-        last = 1e-14 * bound.total / bound.relative if bound.relative else 0.0
-        assert error <= bound.total * (1 + 1e-9) + last
-        assert error_v <= bound.admissible_total * (1 + 1e-9) + last
+    errors, _ = context.exact.errors(answer.u, answer.pressure, answer.record["eps"])
+    assert bound.words == "certified" and noise / 10 < errors["energy"] <= bound.total * (1 + 1e-9)
+    context.close()
 
 
 @pytest.mark.parametrize(("name", "sign"), [("ball", 1), ("disk_flat", -1)])

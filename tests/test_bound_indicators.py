@@ -1,4 +1,6 @@
-"""Estimates of the error where nothing is proved: they drive adaptive meshes, and say what is missing."""
+"""Where nothing is proved: estimates of the error say what is missing, data that are inadmissible are rejected."""
+
+from __future__ import annotations
 
 import re
 
@@ -156,3 +158,72 @@ def test_undefined_behind_a_condition():
     load = "where(x > 0.255, sqrt(x - 0.27), 1)"
     bound = solve(Scene(mesh={**PLANE, "cells": 4}, tension=1, load=load), bound=True).bound
     assert "the load may be infinite or undefined" in bound.words
+
+
+SPOT = "hypot(x - 0.503, y - 0.497) < 0.004"
+BAD = {
+    "matrix": {"tension": [["1", f"where({SPOT}, 2, 0)"], [f"where({SPOT}, 2, 0)", "1"]]},
+    "one entry": {"tension": [["1 - 2*exp(-((x - 0.72)^2 + (y - 0.25)^2)/0.0004)", 0], [0, 1]]},
+    "tension": {"tension": f"where({SPOT}, -1, 1)"},
+    "the other branch": {"tension": f"where(not ({SPOT}), 1, -1)"},
+    "defined": {"tension": "1 - 2*spot", "define": {"spot": SPOT}},
+    "foundation": {"tension": 1, "foundation": f"where({SPOT}, -1, 1)"},
+    "stiffness": {"tension": 1, "soft_obstacle": {"lower": 0, "stiffness": f"where({SPOT}, -1, 1)"}},
+    "rate": {"tension": 1, "rate": f"where({SPOT}, -1, 1)", "time": {"end": 1, "steps": 2, "start": 0}},
+    "slope": {"large_slope": f"where({SPOT}, -1, 1)"},
+    "band": {"tension": "where(x > 0.4999 and x < 0.50001, -2, 1)"},
+    "oblique band": {"tension": "1 - 3*(abs(x + y - 0.77) < 0.0003)"},
+    "dip": {"tension": "1 - 2*exp(-((x - 0.72)^2 + (y - 0.25)^2)/0.0004)"},
+    "lowest of two": {"tension": "max(min(1, 3000*hypot(x - 0.3, y - 0.7) - 2), -1)"},
+}
+
+
+def spotted(**more):
+    return Scene(mesh={"shape": "rectangle", "cells": 16}, load=-1, **more)
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_spot_between_the_samples(name):
+    """A formula out of bounds in a spot that no cell's midpoint meets is rejected, with a place in the spot."""
+    with pytest.raises(InputError, match=r"must be (positive|at least 0).* at \(0\.\d+, [01]"):
+        solve(spotted(**BAD[name]))
+
+
+def on_mesh(shape, cells, where="@", size=1.0, **more):
+    """A tension that is -1 in the spot, or elsewhere, on another mesh."""
+    axes = {axis: [0, size] for axis in "xy"} if shape == "rectangle" else {}
+    spot = where.replace("@", f"hypot(x - {0.503 * size}, y - {0.497 * size}) < {0.004 * size}")
+    return Scene(mesh={"shape": shape, "cells": cells, **axes, **more}, load=-1, tension=f"where({spot}, -1, 1)")
+
+
+@pytest.mark.parametrize(
+    ("made", "element"),
+    [(on_mesh("rectangle", 16, size=1e-3), None), (on_mesh("rectangle", 16, size=1e6), None),
+     (on_mesh("rectangle", 6), "P2"), (on_mesh("rectangle", 6, cell="quadrilateral"), "Q1"),
+     (on_mesh("interval", 32, "abs(x - 0.503) < 1e-4"), None),
+     (on_mesh("box", 4, "hypot(hypot(x - 0.503, y - 0.497), z - 0.33) < 0.01"), None)],
+    ids=["millimetres", "large", "P2", "quadrilaterals", "interval", "solid"],
+)  # fmt: skip
+def test_a_spot_on_other_meshes(made, element):
+    """Whatever the unit of length, the element and the dimension."""
+    with pytest.raises(InputError, match="must be positive; it is -1"):
+        solve(made, **({} if element is None else {"element": element}))
+
+
+ADMISSIBLE = {
+    "a spot": {"tension": f"where({SPOT}, 3, 1)"},
+    "outside of the domain": {"tension": "where(x > 1.2, -1, 1)"},
+    "zero at a point": {"tension": "r"},
+    "zero on the boundary": {"tension": "x*(1 - x)"},
+    "a pole": {"tension": "1/hypot(x - 0.5, y - 0.5)"},
+    "zero in a part": {"tension": 1, "foundation": "max(x - 0.3, 0)"},
+    "the distance": {"tension": "0.1 + distance", "foundation": "where(distance < 0.2, 1, 0)"},
+    "axis": {"tension": "x", "axial_symmetry": True},
+    "matrix": {"tension": [["2", f"where({SPOT}, 1, 0)"], [f"where({SPOT}, 1, 0)", "1"]]},
+}
+
+
+@pytest.mark.parametrize("name", ADMISSIBLE)
+def test_what_is_admissible_is_solved(name):
+    """Nothing is rejected for values outside of the domain, zeros, poles and jumps."""
+    assert solve(spotted(**ADMISSIBLE[name]), comm=COMM).record["converged"]

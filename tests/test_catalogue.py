@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.explain import explain
@@ -227,18 +227,6 @@ def test_pressure_error_of_a_known_pressure():
     assert "pressure_l2" not in solve(membrane(**string, exact=0)).record["errors"]
 
 
-def test_names_in_the_exact_table_are_checked():
-    for exact, message in (
-        ({"u": 0, "pressure": "q"}, r"\[exact\] pressure: unknown name 'q'"),
-        ({"u": 0, "presure": 0}, r"\[exact\] unknown key 'presure'; did you mean 'pressure'"),
-        ({"u": 0, "pressure": "distance"}, "not allowed in .exact"),
-        ({"u": 0, "rates": {"l3": 1}}, r"unknown key 'l3'"),
-        ({"pressure": 0}, r"\[exact\] the key 'u' is missing"),
-    ):
-        with pytest.raises(InputError, match=message):
-            membrane(lower=0, exact=exact)
-
-
 def test_explain_says_what_is_known():
     text = explain(catalogue.scene("cone"))
     for part in (
@@ -254,13 +242,6 @@ def test_demos_are_the_catalogue_s():
     """One file for a scene: demos/ points to it."""
     for demo, name in (("string", "string_parabola"), ("disk", "disk_flat"), ("two_sided", "two_obstacle_square")):
         assert Scene.read(DEMOS / f"{demo}.toml").tables == catalogue.scene(name).tables
-
-
-def test_nearest_name():
-    with pytest.raises(InputError, match="bal: no such scene; did you mean 'ball'"):
-        catalogue.read("bal")
-    with pytest.raises(InputError, match=r"bal.toml: no such scene file"):
-        catalogue.read("bal.toml")
 
 
 @pytest.mark.serial

@@ -11,8 +11,8 @@ from mpi4py import MPI
 from fenicsx_obstacle import InputError, Scene, polynomials, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.certification import in_words
-from tests.conftest import COMM, membrane, slow_except
-from tests.test_bound import distance
+from fenicsx_obstacle.estimation.norms import Distance
+from tests.conftest import COMM, ON_SEVERAL_RANKS, membrane, slow_except
 
 SQUARE = {"shape": "rectangle", "cells": 8}
 AROUND = {"shape": "rectangle", "x": [-1, 1], "y": [-1, 1], "cells": 8}
@@ -39,8 +39,8 @@ def distance_from_finer(coarse, cells=64):
     """Energy norm of the difference to the solution on a finer mesh, on one rank: the error but for that mesh's own."""
     scene = coarse.scene.change({"mesh.cells": cells, "solve.element": "P1"})
     with closing(SolverContext(scene, MPI.COMM_SELF)) as fine:
-        u = fine.answer().u.x.array
-        return distance(fine.problem, u - coarse.at(fine.problem.level.points.T))
+        u, problem = fine.answer().u.x.array, fine.problem
+        return Distance(problem).energy(u - coarse.at(problem.level.points.T))
 
 
 @pytest.mark.slow
@@ -258,6 +258,7 @@ def test_tolerances_say_what_they_rest_on():
         assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
 
 
+@ON_SEVERAL_RANKS
 @pytest.mark.slow
 def test_words_are_the_same_on_any_number_of_ranks():
     """All ranks say the same, and the same as one."""

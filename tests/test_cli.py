@@ -1,9 +1,14 @@
 """The command line as users meet it: in processes of its own, on 1, 2 and 3 ranks."""
 
+import fcntl
 import json
 import os
+import pty
+import re
+import struct
 import subprocess
 import sys
+import termios
 import time
 from functools import partial
 from pathlib import Path
@@ -65,19 +70,6 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
     again = run("solve", DEMOS / "disk.toml", "--cells", 16, "--output", tmp_path / "disk", "--plot", ranks=2)
     assert "drawn by" in again.stdout
     assert "--plot" in json.loads((tmp_path / "disk" / "answer.json").read_text())["command"]
-
-
-@pytest.mark.parametrize("ranks", slow_except([1, 2], 1))
-def test_mistakes_exit_2_with_one_message(ranks, tmp_path):
-    """Before anything is imported, before MPI is used, and once the mesh is there."""
-    (tmp_path / "bad.toml").write_text('[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\ntension = "x - 1/2"\n')
-    before = sorted(tmp_path.iterdir())
-    for arguments in (["slove"], ["solve", "none.toml"], ["solve", "bad.toml"]):
-        done = run(*arguments, ranks=ranks, cwd=tmp_path)
-        assert done.returncode == 2, (arguments, done.stderr)
-        assert done.stderr.count("Error: ") == 1, done.stderr
-        assert "Traceback" not in done.stderr
-        assert sorted(tmp_path.iterdir()) == before, arguments  # no empty out/
 
 
 @pytest.mark.slow
@@ -160,15 +152,6 @@ def test_a_source_that_another_process_removes(tmp_path, monkeypatch):
     assert not list(source.parent.iterdir())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", slow_except(["disk", "string"], "disk"))
-def test_explain(name):
-    done = inside("explain", DEMOS / f"{name}.toml")
-    assert done.returncode == 0
-    for word in ("-div(tension grad u)", "(3.4)", "vertex rule", "SNES", "not included"):
-        assert word in done.stdout
-
-
 @pytest.mark.parametrize(
     ("text", "key", "values"),
     [
@@ -227,3 +210,69 @@ def test_files_of_others_stay(tmp_path):
     refused = inside("solve", DEMOS / "string.toml", "--output", tmp_path / "out" / "thesis.tex")
     assert refused.returncode == 2
     assert "is a file" in refused.stderr
+
+
+STUDY = ["study", str(DEMOS / "string.toml"), "--cells", "8", "--vary", "eps=1e-1,1e-3", "--output"]
+
+
+def on_terminal(*arguments, ranks=1):
+    """Run with standard error on a terminal: what came out of stdout, and of the terminal."""
+    try:
+        ours, theirs = pty.openpty()
+    except OSError:  # a bare chroot, a container without /dev/pts
+        pytest.skip("this machine gives no terminals")
+    fcntl.ioctl(
+        theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0)
+    )  # a terminal without width shows nothing
+    command = [*(mpirun(ranks) if ranks > 1 else []), sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True, env=CLEAN)
+    os.close(theirs)
+    seen = b""
+    while True:
+        try:
+            piece = os.read(ours, 4096)
+        except OSError:  # the other end was closed
+            break
+        if not piece:
+            break
+        seen += piece
+    os.close(ours)
+    stdout, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, seen
+    return stdout, seen.decode()
+
+
+@pytest.mark.slow
+def test_a_terminal_sees_what_is_solved(tmp_path):
+    """The row's scene and values, and the step of the solver; the table stays on standard output."""
+    stdout, seen = on_terminal(*STUDY, tmp_path / "out")
+    assert "string: eps=0.1" in seen
+    assert "1/2" in seen
+    assert "step" in seen or "timing" in seen or "mesh" in seen
+    assert "|u_eps-u_h|_a" in stdout
+    assert "\r" not in stdout
+
+
+@pytest.mark.slow
+def test_quiet_is_quiet(tmp_path):
+    stdout, seen = on_terminal(*STUDY, tmp_path / "out", "--quiet")
+    assert stdout == ""
+    assert seen == ""
+
+
+@pytest.mark.slow
+def test_no_bar_without_a_terminal(tmp_path):
+    done = run(*STUDY, tmp_path / "out")
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("ranks", slow_except([1, 2]))
+def test_log_has_rank_and_time(ranks, tmp_path):
+    done = run(*STUDY, tmp_path / "out", "--log", "info", "--quiet", ranks=ranks)
+    assert done.returncode == 0
+    line = re.compile(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} rank (\d) INFO fenicsx_obstacle\S*: (.*)$", re.MULTILINE)
+    found = line.findall(done.stderr)
+    assert {rank for rank, _ in found} == {str(rank) for rank in range(ranks)}
+    assert sum("eps=0.1" in text for _, text in found) == ranks
+    assert any(text.startswith("step 0: ") for _, text in found)

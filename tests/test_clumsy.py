@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -13,8 +12,6 @@ import pytest
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear import defaults
-from fenicsx_obstacle.console import tolerance_status
-from fenicsx_obstacle.errors import NOT_REACHED
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.show.figures import heading
@@ -147,37 +144,6 @@ def test_options_give_what_a_scene_lacks(folder):
     assert other.change({"mesh.x.1": 2}).tables.mesh.x == ("-sqrt(0.5)", 2)
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"define.q": 3}, "has no stiffness"),
-        ({"effects.tension": 1, "define.q": 1, "define.other": 2}, "no 'other', and no formula uses it"),
-        ({"effects.tensoin": 1, "define.q": 1}, "did you mean 'tension'"),
-        ({"boundary.3.value": 1}, "'3' is no item of the list; take a number from 0 to 0"),
-        ({"boundary.first.value": 1}, "'first' is no item of the list"),
-        ({"boundary.0": 1}, "is no item of the list, which is empty"),
-        ({"effects.load.a": 1}, "load is no table"),
-        ({"effects": 3, "effects.tension": 1}, "effects is no table"),
-    ],
-)
-def test_options_that_fit_nowhere(options, says, folder):
-    """A message with the key."""
-    file = folder / "scene.toml"
-    on_root(COMM, write_text, file, INCOMPLETE)
-    with pytest.raises(InputError, match=re.escape(says)):
-        changed(str(file), options)
-
-
-def test_a_tolerance_that_the_budget_does_not_allow():
-    """The answer comes back from Python, and the command line has a status of its own for it."""
-    scene = membrane(load=-9, lower=-0.1)
-    answer = solve(scene, tol=1e-3, budget="300 unknowns")
-    assert answer.record["adaptive"]["reached"] is False
-    assert tolerance_status(answer.record, Path("out")) == NOT_REACHED == 4
-    assert tolerance_status(solve(scene, tol=0.5).record, Path("out")) == 0
-    assert tolerance_status(solve(scene).record, Path("out")) == 0
-
-
 def launched(ranks, *arguments, **options):
     ranked = [] if ranks == 1 else ["--ranks", str(ranks)]
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": CLEAN, "timeout": 60, **options}
@@ -233,8 +199,11 @@ def test_a_full_standard_output_is_told_at_the_end(ranks, json_too, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.serial
-@pytest.mark.parametrize("arguments", [["--help"], ["scenes"], ["solve", "ball", "--cells", "4"]])
-@pytest.mark.parametrize("how", ["full", "closed pipe", "none"])
+@pytest.mark.parametrize(
+    ("arguments", "how"),
+    [(["--help"], "full"), (["scenes"], "closed pipe"),
+     *((["solve", "ball", "--cells", "4"], how) for how in ("full", "closed pipe", "none"))],
+)  # fmt: skip
 def test_output_that_cannot_be_written(arguments, how, tmp_path):
     """A full device and a closed pipe are told in one line; a stream that is closed is nobody's loss."""
     command = [sys.executable, "-m", "fenicsx_obstacle", *arguments]
@@ -252,9 +221,9 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
 @pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("ranks", [1, 2])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_signals_end_all_processes(ranks, number, tmp_path):
-    """SIGTERM and SIGHUP to the launcher alone: 128 + number, rows are kept, no process is left."""
+    """SIGTERM and SIGHUP to the launcher alone, Ctrl-C: 128 + number, one line, rows are kept, no process is left."""
     study = ["study", "disk_flat", "--vary", "cells=4,6,400", "--method", "vi", "--output", str(tmp_path)]
     process = subprocess.Popen(
         [LAUNCHER, "--ranks", str(ranks), *study],
@@ -264,16 +233,17 @@ def test_signals_end_all_processes(ranks, number, tmp_path):
         text=True,
         start_new_session=True,
         preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
-    )  # ignored under nohup
+    )  # ignored under nohup, and in the background
     rows = tmp_path / "rows.jsonl"
     deadline = time.monotonic() + 60
     while (not rows.exists() or rows.read_text().count("\n") < 2) and time.monotonic() < deadline:
         time.sleep(0.05)
-    os.kill(process.pid, number)
+    (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)  # the first as the terminal does
     said = process.communicate(timeout=60)[1]
     assert process.returncode == 128 + number, said
-    assert said.strip() == "terminated; finished rows are kept, and the same command continues from them"
-    assert rows.read_text().count("\n") >= 2
+    how = "interrupted" if number == signal.SIGINT else "terminated"
+    assert said.strip() == f"{how}; finished rows are kept, and the same command continues from them"
+    assert len([json.loads(row) for row in rows.read_text().splitlines()]) >= 2
     while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
         time.sleep(0.05)
     assert not _session(process.pid)

@@ -13,7 +13,7 @@ from fenicsx_obstacle.mesh.checks import components
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.meshes import coarsest
 from tests.conftest import COMM
-from tests.helpers import Membrane, grid, mesh_of
+from tests.helpers import Membrane, cut, grid, mesh_of
 
 KINDS = {2: "interval", 3: "triangle", 4: "tetrahedron"}
 
@@ -132,11 +132,8 @@ def test_many_components_have_the_same_numbers_on_any_number_of_ranks():
 def test_slit_is_no_fault():
     """Both sides of a crack have nodes of their own: solved, and said."""
     points, cells = grid(4, 4)
-    upper = points[cells].mean(axis=1)[:, 1] > 0.5
-    crack = [number for number, (x, y) in enumerate(points) if y == 0.5 and x < 0.3]  # ends within the square
-    for new, old in enumerate(crack, len(points)):
-        cells[upper] = np.where(cells[upper] == old, new, cells[upper])
-    found = level(union((np.concatenate([points, points[crack]]), cells)))
+    crack = (points[:, 1] == 0.5) & (points[:, 0] < 0.3)  # ends within the square
+    found = level(union(cut(points, cells, crack, points[cells].mean(axis=1)[:, 1] > 0.5)))
     assert found.remarks == ("a slit at (0.125, 0.5, 0): 2 pairs of sides without shared nodes",)
 
 

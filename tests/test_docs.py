@@ -18,7 +18,7 @@ from sybil import Sybil
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser, SkipParser
 
-from fenicsx_obstacle import Answer, Scene, __all__, solve
+from fenicsx_obstacle import Answer, Scene, solve
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.forms.pairs import pairs
@@ -113,16 +113,6 @@ def test_blocks_run(page, workplace):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_block_is_tested(page):
-    """Blocks are of a language that is run, and skipped for a reason only."""
-    text = page.read_text()
-    languages = re.findall(r"^```(\S*)\n(?:.*?\n)?```$", text, flags=re.DOTALL | re.MULTILINE)
-    assert set(languages) <= {"sh", "python", "text", "toml", "{toctree}", "{eval-rst}"}
-    assert not re.search(r"^    (\./obstacle|python|import) ", text, flags=re.MULTILINE)
-    assert len(re.findall(r"<!-- skip:", text)) == len(re.findall(r'^<!-- skip: next ".+" -->$', text, re.MULTILINE))
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_parse(page):
     """Commands in the text, and in blocks that are not run, are commands with options that exist."""
     blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)
@@ -207,9 +197,3 @@ def test_results_are_described(name, options):
     answer = solve(Scene.read(DEMOS / f"{name}.toml"), **options)
     assert isinstance(answer, Answer)
     assert set(keys_of(answer.record)) <= described("results.md")
-
-
-def test_public_names_are_described():
-    """docs/python.md has each public name."""
-    text = (ROOT / "docs" / "python.md").read_text()
-    assert all(re.search(rf"^\.\. auto(class|function):: {name}$", text, re.MULTILINE) for name in __all__)

@@ -9,7 +9,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, ObstacleProblem, releases
+from fenicsx_obstacle import ObstacleProblem, releases
 from fenicsx_obstacle.parallel import largest
 from tests.conftest import COMM
 from tests.helpers import outline
@@ -97,10 +97,3 @@ def test_a_coefficient_that_jumps_inside_cells():
     assert largest(COMM, np.abs(residual.array_r[~held[:own]])) < 1e-6
     assert 1.0 < largest(COMM, u.x.array) < 1.02
     assert solution.force.lower == 0
-
-
-def test_obstacles_of_two_arguments_are_rejected():
-    V, u, v, _ = _plane(4)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + v * ufl.dx
-    with pytest.raises(InputError, match="lower: the callable takes two arguments"):
-        ObstacleProblem(F, u, bcs=[fem.dirichletbc(0.0, outline(V), V)], lower=lambda x, y: -0.1 - y)

@@ -13,7 +13,7 @@ from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
 from fenicsx_obstacle.mesh.cells import cell_facets
 from fenicsx_obstacle.mesh.levels import Level, of_mesh
 from tests.conftest import COMM, by_hand, slow_except
-from tests.helpers import grid
+from tests.helpers import cut, grid
 
 BOXES = {1: dmesh.create_unit_interval, 2: dmesh.create_unit_square, 3: dmesh.create_unit_cube}
 MEETING = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2]], dtype=float)
@@ -58,7 +58,7 @@ def test_it_is_above_the_constant_of_a_box(dim, cells):
 def test_it_is_above_eigenvalues(l_shape, where):
     """1/c^2 is below the least eigenvalue in P1 on a square with a slit, and on an L-shape with one."""
     points, cells = grid(8, 8)
-    points, cells = _cut(points, cells, (np.abs(points[:, 1] - 0.25) < 1e-9) & (points[:, 0] < 0.49),
+    points, cells = cut(points, cells, (np.abs(points[:, 1] - 0.25) < 1e-9) & (points[:, 0] < 0.49),
                          points[cells].mean(axis=1)[:, 1] > 0.25)  # fmt: skip
     kept = ~np.all(points[cells].mean(axis=1) > 0.5, axis=1) | (not l_shape)
     used, cells = np.unique(cells[kept], return_inverse=True)
@@ -66,14 +66,6 @@ def test_it_is_above_eigenvalues(l_shape, where):
     K, M = _matrices(level, where)
     exact = 1 / np.sqrt(eigh(K, M, eigvals_only=True, subset_by_index=[0, 0])[0])
     assert exact <= constant(level, where) < 20 * exact
-
-
-def _cut(points: np.ndarray, cells: np.ndarray, along: np.ndarray, beyond: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """With second nodes along a line, for the cells beyond it."""
-    twice = np.flatnonzero(along)
-    other = np.arange(len(points))
-    other[twice] = len(points) + np.arange(len(twice))
-    return np.vstack([points, points[twice]]), np.where(beyond[:, None], other[cells], cells)
 
 
 def _matrices(level: Level, where) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +93,7 @@ def comb(n: int) -> dmesh.Mesh:
     middle = points[cells].mean(axis=1)[:, 0]
     for at, up in ((0.25, True), (0.5, False), (0.75, True)):
         height = points[:, 1] if up else 1 - points[:, 1]
-        points, cells = _cut(points, cells, (np.abs(points[:, 0] - at) < 1e-9) & (height < 0.874), middle > at)
+        points, cells = cut(points, cells, (np.abs(points[:, 0] - at) < 1e-9) & (height < 0.874), middle > at)
     return by_hand(points, cells)
 
 

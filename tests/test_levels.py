@@ -125,44 +125,20 @@ def test_more_ranks_than_cells():
     assert one.record["dofs"] == 4
 
 
-def gmsh_square(path, order=1, recombine=False):
-    import gmsh
-
-    gmsh.initialize([], False)
-    gmsh.option.setNumber("General.Terminal", 0)
-    gmsh.model.occ.addRectangle(0, 0, 0, 1, 1)
-    gmsh.model.occ.synchronize()
-    gmsh.model.addPhysicalGroup(2, [1], 7)
-    for name, lines in (("floor", [1]), ("rest", [2, 3, 4])):
-        tag = gmsh.model.addPhysicalGroup(1, lines)
-        gmsh.model.setPhysicalName(1, tag, name)
-    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.2)
-    if recombine:
-        gmsh.option.setNumber("Mesh.RecombineAll", 1)
-    gmsh.model.mesh.generate(2)
-    gmsh.model.mesh.setOrder(order)
-    gmsh.write(str(path))
-    gmsh.finalize()
-
-
-@pytest.mark.slow
-def test_gmsh_names(folder):
-    """Physical names are what [[boundary]] on means; refinement keeps them."""
-    on_root(COMM, gmsh_square, folder / "square.msh")
-    scene = Scene(
-        mesh={"file": str(folder / "square.msh"), "refine": 1}, tension=1, exact="y",
-        boundary=[{"on": "floor", "value": 0}, {"on": "rest", "value": "y"}],
-    )  # fmt: skip
-    assert solve(scene).record["errors"]["max"] < 1e-9
-    with pytest.raises(InputError, match="no part named 'flor'; did you mean 'floor'"):
-        solve(scene.change({"boundary": [{"on": "flor", "value": 0}]}))
+SQUARE_GEO = """SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 1, 1};
+Physical Surface(7) = {1};
+Physical Curve("floor") = {1};
+Physical Curve("rest") = {2, 3, 4};
+Mesh.MeshSizeMax = 0.2;
+"""
 
 
 @pytest.mark.slow
 def test_parts_of_a_file_halved_several_times(folder):
     """Named parts of the boundary keep their length, materials their cells."""
-    on_root(COMM, gmsh_square, folder / "square.msh")
-    coarse, fine = (build({"file": str(folder / "square.msh"), "refine": refine}) for refine in (0, 3))
+    on_root(COMM, (folder / "square.geo").write_text, SQUARE_GEO)
+    coarse, fine = (build({"file": str(folder / "square.geo"), "refine": refine}) for refine in (0, 3))
     assert len(fine.grids) == 2
     for name, length in (("floor", 1.0), ("rest", 3.0)):
         cells, numbers, share = sides(fine.mesh, fine.facets[name])
@@ -173,12 +149,13 @@ def test_parts_of_a_file_halved_several_times(folder):
         assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
 
 
-def test_xdmf_with_numbered_tags(folder):
-    """XDMF has no names: the numbers of its tags serve."""
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+def test_xdmf_with_numbered_tags(cell, folder):
+    """A file of DOLFINx. XDMF has no names: the numbers of its tags serve."""
     from dolfinx import io
     from dolfinx import mesh as dmesh
 
-    square = dmesh.create_unit_square(COMM, 6, 6)
+    square = dmesh.create_unit_square(COMM, 6, 6, getattr(dmesh.CellType, cell))
     square.topology.create_connectivity(1, 2)
     left = dmesh.locate_entities_boundary(square, 1, lambda x: np.isclose(x[0], 0))
     tags = dmesh.meshtags(square, 1, np.sort(left), np.full(len(left), 3, np.int32))

@@ -10,7 +10,6 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
-from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError
 from fenicsx_obstacle.algebra.newton import solve_penalty
@@ -23,7 +22,7 @@ from fenicsx_obstacle.effects.effect import find
 from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.mesh.cells import corners, own_cells
-from fenicsx_obstacle.mesh.levels import of_mesh, of_pair, refined
+from fenicsx_obstacle.mesh.levels import of_mesh, of_pair
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import functionspace, settle
 
@@ -51,6 +50,11 @@ def membrane(level, *, tension=1.0, load=-8.0, lower=-0.1, upper=None, boundary=
     return Problem(Data(Model(effects, fields["lower"], fields["upper"], parts, source="test"), level))
 
 
+def begun(problem):
+    problem.set_reference(problem.cold_start())
+    return problem
+
+
 def u_values(problem):
     return problem.solution().x.array[: problem.level.owned]
 
@@ -64,49 +68,15 @@ def test_a_problem_from_fields_is_solved_and_bounded(element):
     """u_eps tends to u of SNES VI at the rate of eps; all data are numbers, and the mesh is the caller's."""
     level = of_pair(of_mesh(square(), "test"), pairs()[element])
     problem = membrane(level)
-    problem.set_reference(problem.cold_start())
-    solve_vi(problem)
+    solve_vi(begun(problem))
     exact = u_values(problem).copy()
     assert largest(COMM, -0.1 - exact[problem.weights > 0]) <= 1e-12
     bound = Estimator(problem).bound()
     assert 0 < bound.relative < (0.4 if element == "P1" else 0.1)
     assert bound.words.startswith("certified on the polygon of the mesh")
     for eps in (1e-3, 1e-6):
-        problem.set_reference(problem.cold_start())
-        solve_penalty(problem, eps)
+        solve_penalty(begun(problem), eps)
         assert norm(problem, u_values(problem) - exact) <= 10 * eps
-
-
-def values():
-    """The load -8 (1 + x) and the tension 2 in every form that a caller may have."""
-    mesh = square()
-    x = ufl.SpatialCoordinate(mesh)
-    V = functionspace(mesh, "Lagrange", 1)
-    load = fem.Function(V)
-    load.interpolate(lambda x: -8 * (1 + x[0]))
-    other = fem.Function(functionspace(settle(dmesh.create_unit_square(COMM, 5, 7)), "Lagrange", 1))
-    other.interpolate(lambda x: -8 * (1 + x[0]))
-    return mesh, {
-        "callable": (2.0, lambda x: -8 * (1 + x[0])),
-        "Constant": (fem.Constant(mesh, PETSc.ScalarType(2)), lambda x: -8 * (1 + x[0])),
-        "Function": (2.0, load),
-        "Function on another mesh": (2.0, other),
-        "UFL": (2.0 + 0 * x[0], -8 * (1 + x[0])),
-    }
-
-
-@pytest.mark.slow
-def test_data_may_come_in_any_form():
-    """A number, a Constant, a callable, a Function and UFL that mean the same give the same u."""
-    mesh, forms = values()
-    found = {}
-    for name, (tension, load) in forms.items():
-        problem = membrane(of_mesh(mesh, "test"), tension=tension, load=load)
-        problem.set_reference(problem.cold_start())
-        solve_penalty(problem, 1e-6)
-        found[name] = u_values(problem).copy()
-    for name, u in found.items():
-        assert largest(COMM, np.abs(u - found["callable"])) <= 1e-9, name
 
 
 def test_obstacles_and_boundary_values_may_be_functions():
@@ -122,50 +92,9 @@ def test_obstacles_and_boundary_values_may_be_functions():
     ):
         part = Part("all", value=field(value, "test: value"))
         problem = membrane(of_mesh(mesh, "test"), load=0.0, lower=lower, boundary=[part])
-        problem.set_reference(problem.cold_start())
-        solve_vi(problem)
+        solve_vi(begun(problem))
         found.append(u_values(problem).copy())
     assert largest(COMM, np.abs(found[0] - found[1])) <= 1e-10
-
-
-def test_data_follow_to_a_finer_mesh():
-    """A Function of the caller's mesh is taken to a refined one: the Functions there are the same ones."""
-    level = of_mesh(square(8), "test")
-    load = fem.Function(functionspace(level.mesh, "DG", 0))
-    load.interpolate(lambda x: np.where(x[0] < 0.5, -1.0, -3.0))
-    fine = refined(level)
-    problem = membrane(fine, load=load, lower=None)
-    taken = problem.data.values(problem.model.effects[1].value)
-    where = fine.W.tabulate_dof_coordinates()[:, 0] < 0.5
-    assert largest(COMM, np.abs(taken - np.where(where, -1.0, -3.0))) <= 1e-12
-
-
-def test_materials_by_name():
-    """A dict gives each group of cells its own datum, whatever its form."""
-    mesh = square(8)
-    left = corners(mesh)[: own_cells(mesh)].mean(axis=1)[:, 0] < 0.5
-    groups = {"left": np.flatnonzero(left), "right": np.flatnonzero(~left)}
-    level = of_mesh(mesh, "test", None, groups)
-    problem = membrane(level, tension={"left": 2.0, "right": lambda x: 1 + x[0]}, lower=None)
-    taken = problem.data.values(problem.model.effects[0].value)
-    points = level.W.tabulate_dof_coordinates()[:, 0]
-    assert largest(COMM, np.abs(taken - np.where(points < 0.5, 2.0, 1 + points))) <= 1e-12
-
-
-@pytest.mark.ranks
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("1 + x", "expected a number, a Constant"),
-        (lambda x: np.zeros(3), "returns n values"),
-        (lambda x: 1 / 0, "ZeroDivisionError"),
-        (lambda x: np.where(x[0] > 0.5, np.nan, -1.0), "is not a finite number"),
-    ],
-)
-def test_data_that_are_none(value, message):
-    """What cannot be a datum is refused on all ranks, with the name its giver gave it."""
-    with pytest.raises(InputError, match="test: load.*" + message):
-        membrane(of_mesh(square(8), "test"), load=value)
 
 
 def jumping(mesh):
@@ -189,8 +118,7 @@ def test_bounds_say_what_was_sampled(what, element):
     """Of UFL or a callable nothing is known between its samples: the bound names it."""
     mesh = square()
     problem = membrane(of_pair(of_mesh(mesh, "test"), pairs()[element]), **SAMPLED[what](mesh))
-    problem.set_reference(problem.cold_start())
-    solve_penalty(problem, 1e-6)
+    solve_penalty(begun(problem), 1e-6)
     bound = Estimator(problem).bound()
     assert bound.words.startswith("certified on the polygon of the mesh for the sampled")
     assert what in bound.words and not bound.guaranteed
@@ -202,8 +130,7 @@ def test_parts_that_are_given_by_callables_may_end_inside_edges():
     problem = membrane(
         of_mesh(square(), "test"), boundary=[Part("a side", where=where, value=field(0.0, "test: value"))]
     )
-    problem.set_reference(problem.cold_start())
-    solve_vi(problem)
+    solve_vi(begun(problem))
     assert Estimator(problem).bound().words.startswith("an indicator: a side where")
 
 
@@ -223,17 +150,6 @@ def test_one_datum_may_serve_twice():
         Problem(
             Data(Model((find("load")(negative), find("tension")(negative)), None, None, [rest], source="test"), level)
         )
-
-
-def test_models_that_contradict_themselves():
-    """Two tensions, or none; obstacles in the domain and on its boundary."""
-    one = field(1.0, "test: one")
-    tension, load = find("tension")(one), find("load")(one)
-    for effects in ((load,), (tension, tension)):
-        with pytest.raises(InputError, match="test: exactly one effect must be"):
-            Model(effects, source="test")
-    with pytest.raises(InputError, match="these exclude each other"):
-        Model((tension,), lower=one, boundary=[Part("edge", lower=one)], source="test")
 
 
 def test_what_has_no_value_at_nodes():
@@ -271,8 +187,7 @@ def test_data_of_some_cells_on_any_number_of_ranks():
     found = []
     for part in (-8 * (1 + x[0]), lambda x: -8 * (1 + x[0]) + 0 * x[0].max()):
         problem = membrane(level, load={"few": part, "rest": -1.0})
-        problem.set_reference(problem.cold_start())
-        solve_penalty(problem, 1e-6)
+        solve_penalty(begun(problem), 1e-6)
         bound = Estimator(problem).bound()
         assert "sampled load" in bound.words
         found.append(bound.total)
@@ -286,6 +201,5 @@ def test_functions_away_from_the_origin():
     value.interpolate(lambda x: x[0] ** 2)
     level = of_pair(of_mesh(mesh, "test"), pairs()["P2"])
     problem = membrane(level, lower=None, boundary=[Part("all", value=field(value, "test: value"))])
-    problem.set_reference(problem.cold_start())
-    solve_penalty(problem, 1.0)
+    solve_penalty(begun(problem), 1.0)
     assert np.isfinite(Estimator(problem).bound().total)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Table, releases, solve
+from fenicsx_obstacle import Answer, InputError, Scene, Table, solve
 from fenicsx_obstacle.parallel import on_root
 from tests.conftest import COMM, membrane
+from tests.helpers import Membrane
 
 SIZE = 33  # points along a side of the measured square
 FILES = {
@@ -248,67 +249,14 @@ def test_saved_result_is_solved_again_elsewhere(files):
 
 def test_wherever_a_datum_stands(files):
     """Obstacles, loads, tensions by material, boundary values; in TOML, in Python and on a mesh of the user's own."""
-    import ufl
-    from dolfinx import fem, mesh
-
     table = Table(files / "rough.npz", shift=[0, 0, 1])
     scene = membrane(tension=table, load=Table(files / "rough.csv", scale=[1, 1, 60], shift=[0, 0, -4]), lower=-0.05,
                      boundary=[{"value": Table(x=[0, 1], z=[0, 0.1])}])  # fmt: skip
     assert solve(scene).force.lower > 0
-    domain = mesh.create_unit_square(COMM, 16, 16)
-    V = releases.functionspace(domain, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    facets = mesh.exterior_facet_indices(domain.topology) if not domain.topology.create_connectivity(1, 2) else None
-    dofs = fem.locate_dofs_topological(V, 1, facets)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + fem.Constant(domain, 4.0) * v * ufl.dx
     lower = Table(files / "rough.npz", shift=[0, 0, -0.15])
-    problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(fem.Constant(domain, 0.0), dofs, V)], lower=lower)
+    problem = Membrane(load=-4.0).problem(lower=lower)
     same = solve(membrane(load=-4, lower=lower))
     assert problem.solve().force.lower == pytest.approx(same.force.lower, rel=1e-3)
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(
-    ("content", "keys", "message"),
-    [
-        (None, "", "no such file"),
-        ("", "", "is empty"),
-        ("x,y,z\n", "", "holds no numbers"),
-        ("0,0,1\n1,0,2\n0,1\n", "", "line 3 has 2 columns, the lines before it 3"),
-        ("x,y,z\n0,0,1\n1,0,two\n0,1,1\n", "", "line 3: 'two' is no number"),
-        ("0,0,1\n1,0,nan\n0,1,\n1,1,1\n", "", r"2 of 4 values are not finite numbers: at \(1, 0\); \(0, 1\); replace"),
-        ("0,0,1\n1,1,2\n2,2,3\n", "", "3 points that span no area"),
-        ("0,0,1\n1,0,2\n0,1,3\n0,0,4\n", "", r"two heights or more at \(0, 0\)"),
-        ("1,2,3,4\n1,2,3,4\n", "", "heights alone, 2 x 4: give extents, x = "),
-        ("1,2,3,4\n1,2,3,4\n", "x = [1, 0], y = [0, 1]", "x must ascend"),
-        ("0,0,1\n1,0,2\n0,1,3\n1,1,4\n", "x = [0, 1]", "x has no meaning for data that have coordinates"),
-        ("0,0,1\n1,0,2\n0,1,3\n1,1,4\n", "scale = 0", "scale = 0"),
-        ("0,0,1\n1,0,2\n0,1,3\n1,1,4\n", "shift = [1, 2]", r"shift = \[1.0, 2.0\]: expected \[x, y, z\]"),
-        ("0,0,1\n1,0,2\n0,1,3\n1,1,4\n", "shft = [1, 2, 3]", "unknown key 'shft'; did you mean 'shift'"),
-        ("0,0,1\n1,0,2\n0,1,3\n", "smooth = 0.1", "smooth is for heights on a grid"),
-        ("0,0,1\n0.9,0,2\n0,1,3\n0.9,1,4\n", "",
-         r"nan at \(1, 0\.?.*\); the data reach over x = 0 .. 0.9, y = 0 .. 1"),
-    ],
-)  # fmt: skip
-def test_mistakes(tmp_path, content, keys, message):
-    """One message with scene, place and file, before anything is solved."""
-    if content is not None:
-        (tmp_path / "bad.csv").write_text(content)
-    text = f"""
-[mesh]
-shape = "rectangle"
-cells = 4
-[effects]
-tension = 1
-[obstacle]
-lower = {{file = "bad.csv"{", " * bool(keys)}{keys}}}
-[[boundary]]
-value = 0
-"""
-    (tmp_path / "scene.toml").write_text(text)
-    with pytest.raises(InputError, match=rf"scene.toml: \[obstacle\] lower.*{message}") as caught:
-        solve(Scene.read(tmp_path / "scene.toml"))
-    assert str(caught.value).count("\n") == 0
 
 
 def test_masked_heights():

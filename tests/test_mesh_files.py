@@ -19,6 +19,8 @@ from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM, slow_except
 
 FORMATS = [(2.2, 0, 0), (2.2, 1, 1), (4.1, 1, 0), (4.1, 0, 1)]  # version, binary, also what is in no group
+GROUPED = [*(("names", *one) for one in FORMATS),
+           *((kind, *one) for kind in ("curves", "cells", "numbers") for one in FORMATS[::3])]  # fmt: skip
 
 
 def saved(path, draw, version=4.1, binary=0, everything=1, order=1, dim=None):
@@ -108,8 +110,7 @@ def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("version", "binary", "everything"), slow_except(FORMATS, FORMATS[0]))
-@pytest.mark.parametrize("kind", ["curves", "cells", "numbers", "names"])
+@pytest.mark.parametrize(("kind", "version", "binary", "everything"), slow_except(GROUPED, *GROUPED[:4:3]))
 def test_physical_groups(folder, kind, version, binary, everything):
     """Groups of curves only, of cells only, without names, of several dimensions with one number, with names."""
 
@@ -347,24 +348,6 @@ def test_names_of_bodies(tmp_path):
     assert areas == pytest.approx({"steel": 2, "2": 1}) and len(level.facets) == 12
 
 
-@pytest.mark.slow
-def test_cut_files(folder):
-    """A file that ends anywhere ends no process."""
-    path = file_of(folder, disk_of_arcs, binary=1)
-
-    def cut():
-        data = path.read_bytes()
-        for number in range(5):
-            (folder / f"cut{number}.msh").write_bytes(data[: len(data) * (2 * number + 1) // 10])
-
-    on_root(COMM, cut)
-    for number in range(5):
-        try:
-            level_of(folder / f"cut{number}.msh")
-        except InputError as error:
-            assert f"cut{number}.msh: " in str(error)
-
-
 def test_nodes_with_gaps_and_without_cells(folder):
     """Node numbers may have gaps, and nodes no cell."""
     text = """$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n6\n7 0 0 0\n11 1 0 0\n500 1 1 0\n90 0 1 0\n3 9 9 9
@@ -472,21 +455,6 @@ def test_groups_of_cells_and_of_curves_with_one_number(folder):
     for wrong in ('integral(u, "1")', 'integral(2*u + p, "1")'):
         with pytest.raises(InputError, match=r"'1' is the name of cells and of facets.*Physical Curve"):
             solve(scene.change({"report.force": wrong}))
-
-
-@pytest.mark.slow
-def test_bodies_that_were_not_fragmented(folder):
-    """Two rectangles with a common edge are one domain only if they share its nodes; until then there is no answer."""
-
-    def apart(model):
-        model.occ.addRectangle(0, 0, 0, 1, 1)
-        model.occ.addRectangle(1, 0, 0, 1, 1)
-        model.occ.synchronize()
-
-    with pytest.raises(InputError, match=r"apart.msh: two parts .* touch without shared nodes.*BooleanFragments"):
-        level_of(file_of(folder, apart, "apart.msh"))
-    level = level_of(file_of(folder, two_squares, "together.msh"))
-    assert level.remarks == ()
 
 
 POLYGON = """Point(1) = {0, 0, 0, 0.5}; Point(2) = {3, 0, 0, 0.5}; Point(3) = {3, 2, 0, 0.5}; Point(4) = {0, 2, 0, 0.5};
@@ -608,8 +576,7 @@ PROGRAMS = {
 }
 
 
-@pytest.mark.parametrize("what", PROGRAMS)
-@pytest.mark.parametrize("suffix", [".geo", ".msh"])
+@pytest.mark.parametrize(("what", "suffix"), [*((what, ".geo") for what in PROGRAMS), ("a command", ".msh")])
 def test_a_mesh_file_starts_no_program_and_writes_no_file(folder, what, suffix):
     """One message, and nothing has happened. What ends in .msh and is none is not read at all."""
     target = folder / "target"

@@ -100,10 +100,3 @@ def test_tutorial(file, folder, monkeypatch):
         run(cell, names, file)
     COMM.barrier()
     assert (folder / f"{file.stem}.png").stat().st_size > 10000
-
-
-def test_tutorials_are_listed():
-    """docs/applications.md has a row for each, and the site a page."""
-    text = (DEMOS.parent / "docs" / "applications.md").read_text()
-    for file in TUTORIALS:
-        assert f"| {{doc}}`generated/{file.stem}` |" in text and f"\ngenerated/{file.stem}\n" in text

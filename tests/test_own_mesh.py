@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem, io
+from dolfinx import fem
 from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -59,9 +59,12 @@ def test_the_same_by_names_and_by_functions(element):
     """A tension by materials, by a Function in cells, by UFL and by a formula; parts by names: the same figures."""
     own = Own()
     x = ufl.SpatialCoordinate(own.mesh)
+    other = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [5, 7])
+    elsewhere = fem.Function(releases.functionspace(other, "Lagrange", 1))
+    elsewhere.interpolate(lambda x: -8 + 0 * x[0])
     ways = [
         own.scene(tension={"soft": 1, "hard": STIFF}),
-        own.scene(tension=own.mu),
+        own.scene(tension=own.mu, load=elsewhere),
         own.scene(tension={"soft": fem.Constant(own.mesh, PETSc.ScalarType(1.0)), "hard": lambda x: STIFF + 0 * x[0]}),
         own.scene(tension=ufl.conditional(ufl.lt(x[0], 0.5), 1.0, STIFF)),
         own.scene(tension=f"where(x < 1/2, 1, {STIFF})", load=lambda x: -8 + 0 * x[0], lower=lambda x: -0.2 + 0 * x[0]),
@@ -179,16 +182,6 @@ def test_hexahedra_are_saved(folder):
     read = Answer.read(folder)
     assert read.force == answer.force and np.isclose(read.at([0.4, 0.3, 0.6]), answer.at([0.4, 0.3, 0.6]), rtol=1e-12)
     assert np.isclose(solve(read.scene).energy, answer.energy, rtol=1e-9)
-
-
-def test_quadrilaterals_of_a_file(folder):
-    """A mesh of quadrilaterals that DOLFINx has written as XDMF, by its scene: the solution on the mesh itself."""
-    mesh = dmesh.create_unit_square(COMM, 5, 4, cell_type=dmesh.CellType.quadrilateral)
-    with io.XDMFFile(COMM, str(folder / "mesh.xdmf"), "w") as file:
-        file.write_mesh(mesh)
-    given = {"tension": 1, "load": -4, "lower": -0.05}
-    there = Scene(mesh={"file": str(folder / "mesh.xdmf")}, **given).change({"solve.element": "Q1"})
-    assert np.isclose(solve(there).energy, solve(Scene(mesh=mesh, **given)).energy, rtol=1e-10)
 
 
 @pytest.mark.slow

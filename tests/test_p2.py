@@ -4,14 +4,13 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene, polynomials, solve
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation import rt1
 from fenicsx_obstacle.estimation.contact import touching
-from fenicsx_obstacle.parallel import largest, total
+from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 
@@ -148,15 +147,6 @@ def test_the_last_mesh_has_a_bound():
     assert not any(mesh.sampled for mesh in limited.adaptive.path)
     few = solve(quadratic("ball"), tol=1e-4, budget="2000 unknowns")
     assert not few.adaptive.reached and few.bound.certified and not few.adaptive.path[-1].sampled
-
-
-@pytest.mark.slow
-def test_the_same_on_any_number_of_ranks():
-    for name in ("ball", "two_obstacle_square"):
-        together, alone = (solve(quadratic(name), comm=comm, bound=True).bound for comm in (COMM, MPI.COMM_SELF))
-        for key in ("total", "discretisation", "penalty", "data"):
-            assert abs(getattr(together, key) - getattr(alone, key)) <= 1e-9 * alone.total, key
-        assert np.isclose(total(COMM, together.indicator), alone.indicator.sum(), rtol=1e-8)
 
 
 @pytest.mark.variant

@@ -1,10 +1,12 @@
-"""Pictures: what is drawn, by whom, and that nobody's crash takes a study along."""
+"""Pictures, of Newton's method too: what is drawn, by whom, and that nobody's crash takes a study along."""
 
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.io.folder import gather
@@ -12,12 +14,10 @@ from fenicsx_obstacle.show import render
 from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
 from fenicsx_obstacle.show.figures import blank, figure
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
+from fenicsx_obstacle.show.newton import animate_newton, iterates
 from fenicsx_obstacle.show.space import draw_views
-from fenicsx_obstacle.show.study import report_study
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 from tests.helpers import grid, mesh_of
-
-CRASH = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"]
 
 
 def measure(patch):
@@ -314,20 +314,6 @@ def test_a_surface_in_space_has_a_picture(folder):
     assert np.count_nonzero((picture[..., 0] > 0.4) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.3)) > 1000
 
 
-@pytest.mark.variant
-@pytest.mark.slow
-def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
-    """Matplotlib draws the map alone, and says why."""
-    monkeypatch.setattr(render, "find_spec", lambda name: True)
-    monkeypatch.setattr(render, "_WORKER", CRASH)
-    said = []
-    rows = report_study(disk, {"cells": [8, 16]}, {}, folder / "out", said.append)
-    assert len(rows) == 2
-    assert any("drawn by matplotlib, without views in space: pyvista crashed (SIGSEGV)" in line for line in said)
-    picture = pixels(folder / "out" / "last" / "answer.png")
-    assert np.count_nonzero((picture[..., 0] > 0.3) & (picture[..., 1] < 0.2)) > 5000  # contact in dark red
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "why"),
@@ -336,6 +322,7 @@ def test_a_crash_of_pyvista_does_not_stop_a_study(disk, folder, monkeypatch):
             ("raise ImportError('no libGL')", "pyvista failed (ImportError: no libGL)"),
             ("import time; time.sleep(60)", "pyvista took more than 1 s"),
             ("", "pyvista failed (exit status 0)"),
+            ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "pyvista crashed (SIGSEGV)"),
             (None, "pyvista is not installed"),
         ],
         (None, "pyvista is not installed"),
@@ -347,6 +334,8 @@ def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
     monkeypatch.setattr(render, "PATIENCE", 1.0 if "took" in why else 60.0)
     said = solve(disk, cells=4).plot(folder / "disk.png").said
     assert said.endswith(f"drawn by matplotlib, without views in space: {why}")
+    picture = pixels(folder / "disk.png")
+    assert np.count_nonzero((picture[..., 0] > 0.3) & (picture[..., 1] < 0.2)) > 5000  # contact in dark red
 
 
 @pytest.mark.slow
@@ -445,3 +434,71 @@ def test_the_label_says_where_pressures_are_of_neighbours(dim, lower, filled):
     labels = " ".join(axis.get_ylabel().replace("\n", " ") for axis in page.axes)
     assert "computed at nodes, linear between" in labels
     assert ("where u is given: the mean of the neighbours" in labels) == filled
+
+
+STIFF = {"cells": 16, "eps": 1e-6}
+
+
+def sets(steps):
+    """Sizes and changes of active sets: the last digits of forces differ between two solves on several ranks."""
+    return [(step.active, step.changed) for step in steps]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("element", ["P1", "P2", "Q1-gauss"])
+def test_active_sets_are_those_of_the_solve(element, disk):
+    """One for the start and one for each step, with as many points in contact as the history says."""
+    cell = {"mesh.cell": "quadrilateral"} if element.startswith("Q") else {}
+    answer = solve(disk.change(cell), method="successive", element=element, **STIFF)
+    found = iterates(answer.scene, answer.level)
+    assert sets(one.step for one in found) == sets(answer.history)
+    assert [one.number for one in found] == list(range(answer.record["newton_iterations"] + 1))
+    if COMM.rank != 0 or element != "P1":
+        return
+    assert [np.count_nonzero(one.contact) for one in found] == [step.active for step in answer.history]
+    for before, after in pairwise(found):
+        assert np.count_nonzero(before.contact != after.contact) == after.step.changed
+
+
+def test_sets_shrink(ball):
+    """(3.4)* on an M-matrix: from the second set on, each is part of the one before."""
+    answer = solve(ball, method="successive", **STIFF)
+    found = iterates(answer.scene, answer.level)
+    assert len(found) > 4
+    assert all(not np.any(after.contact & ~before.contact) for before, after in pairwise(found[1:]))
+
+
+def test_all_levels_are_seen(ball):
+    """From the coarsest level to the finest; all steps together are those that the answer reports."""
+    answer = solve(ball, cells=64, eps=1e-6)
+    found = iterates(answer.scene, answer.level)
+    sizes = [one.dofs for one in found]
+    last = [one.number for one, after in zip(found, [*sizes[1:], 0], strict=True) if one.dofs != after]
+    assert sizes == sorted(sizes)
+    assert len(last) > 2
+    assert sum(last) == answer.record["newton_total"]
+    assert sets(one.step for one in found if one.dofs == answer.record["dofs"]) == sets(answer.history)
+
+
+@pytest.mark.slow
+def test_an_animation_has_a_frame_for_each_step(ball, folder):
+    """And one for the start; the shorter course rests at its end."""
+    answer = solve(ball, cells=32, eps=1e-6)
+    said = animate_newton(answer, folder / "newton.gif")
+    courses = [
+        iterates(answer.scene.change({"solve.method": name}), answer.level) for name in ("successive", "penalty")
+    ]
+    assert f"(3.4)*, from no contact: {courses[0][-1].number} steps" in said
+    assert f"from 1 coarser level: {courses[1][-1].number} steps" in said
+    if COMM.rank == 0:
+        with Image.open(folder / "newton.gif") as picture:
+            assert picture.n_frames == max(len(time_history) for time_history in courses)
+        assert [path.name for path in folder.iterdir()] == ["newton.gif"]
+
+
+def test_what_is_not_flat_is_not_drawn(folder):
+    """Contact sets of intervals, solids and scenes without obstacles are no pictures."""
+    shapes = [{"mesh": {"shape": "interval", "cells": 8}, "load": -1, "lower": -0.1}, {"load": 1}]
+    for given in shapes:
+        assert animate_newton(solve(membrane(**given)), folder / "newton.gif").endswith("not drawn")
+    assert not list(folder.iterdir())

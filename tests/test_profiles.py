@@ -100,32 +100,6 @@ def test_plot_along(folder):
             CliRunner().invoke(commands, ["plot", str(folder), "--along", line], catch_exceptions=False)
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"from": [0, 0], "to": [1, 2]}, r"\[profile.line\]: the point \(.*\) is outside the mesh"),
-        ({"from": [0, 0, 0], "to": [1, 1, 0]}, "from: needs 2 coordinates, not 3"),
-        ({"from": [0, 0]}, "needs the keys 'from' and 'to', or 'on'"),
-        ({"from": [0, 0], "to": [0, 0]}, "from and to are the same point"),
-        ({"from": [0, 0], "to": [1, 0], "n": 1}, r"\[profile\.line\] n = 1: expected a whole number >= 2"),
-        ({"on": "tob"}, "no curve named 'tob'; did you mean 'top'"),
-        ({"from": [0, 0], "to": [1, 1], "m": 3}, "unknown key 'm'"),
-        (
-            {"on": "top", "compare": {"gap": "x"}},
-            r"\[profile.line\] compare gap: no quantity of this name .known: p, u.",
-        ),
-        ({"on": "top", "compare": {"p": "q*x"}}, "compare p.*unknown name 'q'"),
-        ({"on": "top", "compare": {"p": [1]}}, "a number or a formula"),
-    ],
-)
-def test_mistakes(table, message):
-    """They are told before anything is solved, on all ranks."""
-    with pytest.raises(InputError, match=message):
-        solve(membrane(load=-1, profile={"line": table}))
-    COMM.Barrier()
-
-
 # film pressure at theta = pi/8, 2 pi/8, ... along the middle of a journal bearing, L/D = 1, eccentricity 0.6, by finite
 # differences on 960 x 320 intervals with an active set; on 480 x 160 the first six differ by less than 2e-4
 FILM = [0.19887, 0.44077, 0.78141, 1.29813, 2.06217, 2.93302, 3.0159, 1.3285, 0.0, 0.0, 0.0, 0.0]

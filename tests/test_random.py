@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -15,9 +16,11 @@ from tests.random.families.all_families import TRUTHS
 from tests.random.families.drifts import Strip
 from tests.random.families.family import ANSWER, EITHER, INPUT_ERROR, REJECTION, Family, Judgement
 from tests.random.families.films import Film
+from tests.random.own_forms import Drawn, OwnForm, not_in_balance
+from tests.random.own_forms import judged as judged_form
 from tests.random.show import HEADS, show_random, table
 
-COUNT = {1: 20}  # on more ranks 6
+COUNT = {1: 12}  # on more ranks 6
 OF_EACH = {1: 2}  # on more ranks 1
 # families whose scenes take long, and one of which the third scene is the first whose error is bounded
 OTHERS = {"tetrahedra": 1, "supported": 1, "touching": 1, "anisotropic": 1, "sectors": 3}
@@ -208,3 +211,51 @@ def test_false_answers(scene, monkeypatch):
         assert judge(1.5, judgement=Judgement(COMM))
     with monkeypatch.context():
         assert judge(-1.0, judgement=Judgement(COMM))
+
+
+FIRST_FORM = 1000  # `python -m tests.random.own_forms COUNT FIRST_FORM` tries more
+FORMS = {1: 8, 2: 4}  # on three ranks 3
+LOUD = {1128}  # a start of 10 times the solution, where Newton's method fails with the penalty; the message says so
+
+
+@pytest.mark.slow
+def test_own_forms():
+    """Random forms of a user's own with default options: as the variational inequality, or with a word."""
+    found = []
+    for seed in range(FIRST_FORM + 100, FIRST_FORM + 100 + FORMS.get(COMM.size, 3)):
+        form = OwnForm(seed, COMM)
+        verdict = judged_form(form)
+        if verdict.word == "FAILED" or (verdict.word == "loud" and seed not in LOUD):
+            found.append(f"{verdict.word} {form.text()}: {verdict.why}")
+    assert not found
+
+
+def test_contact_alone_with_little_stiffness():
+    """A form that was lost from a start in the unit of u, not in that of its data."""
+    assert judged_form(OwnForm(1165, COMM)).word == "right"
+
+
+def test_a_film_beyond_its_limit():
+    """u = 1e96 was accepted as in balance: what is negligible grew with u."""
+    verdict = judged_form(OwnForm(20103, COMM))
+    assert verdict.word == "none" and "vi did not converge" in verdict.why
+
+
+def test_the_judge_sees_what_is_wrong():
+    """A solution that is moved, or pushed through its obstacle, is not in balance."""
+    form = OwnForm(FIRST_FORM, COMM)
+    solution = form.problem().solve(method="vi")
+    assert not not_in_balance(form, solution, penetrates=False)
+    own = form.V.dofmap.index_map.size_local
+    free = np.ones(own, dtype=bool)
+    for bc in form.bcs:
+        dofs = bc.dof_indices()[0]
+        free[dofs[dofs < own]] = False
+    solution.u.x.array[:own][free] *= 1.01
+    solution.u.x.scatter_forward()
+    assert not_in_balance(form, solution, penetrates=False)
+
+
+def test_draws_are_the_same():
+    words = [Drawn(3), Drawn(3)]
+    assert words[0].number(0, 1, "x") == words[1].number(0, 1, "x") and words[0].words == words[1].words

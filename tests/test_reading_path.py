@@ -3,13 +3,8 @@
 import re
 import sys
 
-import numpy as np
 import pytest
-from mpi4py import MPI
 
-from fenicsx_obstacle.algebra.newton import solve_penalty
-from fenicsx_obstacle.algebra.options import EpsFormula
-from fenicsx_obstacle.algebra.solve_system import _system
 from fenicsx_obstacle.checkout import ROOT
 from tests.helpers import Membrane
 from tests.mutants import misplaced, mutants
@@ -61,14 +56,6 @@ def contains(stack, wanted):
     """Whether the wanted calls are in the stack, in their order."""
     rest = iter(stack)
     return all(any(path.endswith(file) and name == here for path, here in rest) for file, name in wanted)
-
-
-@pytest.mark.parametrize("eps", ["auto", EpsFormula("h^2", lambda h: h * h), None])
-def test_solvers_take_eps_as_a_number(eps):
-    A = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    system = _system(A, np.ones(2), MPI.COMM_SELF, lower=None, upper=0.1, weights=None, fixed=None, given=0.0)
-    with pytest.raises((TypeError, ValueError)):
-        solve_penalty(system, eps)
 
 
 @pytest.mark.serial

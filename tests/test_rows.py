@@ -4,10 +4,6 @@ import json
 import os
 import resource
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -20,15 +16,13 @@ from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 from tests.cli.faults import disk
-from tests.cli.faults.kill import interrupts, kills
+from tests.cli.faults.kill import kills
 from tests.conftest import CLEAN, DEMOS
-from tests.helpers import LAUNCHER, inside, run
+from tests.helpers import inside, run
 
 pytestmark = pytest.mark.serial
 
 STUDY = ["study", str(DEMOS / "string.toml"), "--vary", "cells=4,6,8,10,12,14,16", "--method", "vi"]
-# it has not ended when Ctrl-C comes
-LONG = ["study", str(DEMOS / "disk.toml"), "--vary", "cells=8..256", "--method", "vi", "--start", "cold"]
 
 
 @pytest.mark.parametrize("ranks", [1, 3])
@@ -83,34 +77,6 @@ def test_key_depends_on_everything_that_matters(tmp_path):
     before = row_key(scene, "h", 1)
     _xdmf(tmp_path, 2)
     assert row_key(scene, "h", 1) != before
-
-
-SET_UP = (LAUNCHER.parent / ".venv" / "complete").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "command",
-    [
-        [sys.executable, "-m", "fenicsx_obstacle"],
-        pytest.param([LAUNCHER, "--ranks", "2"], marks=pytest.mark.skipif(not SET_UP, reason="needs ./obstacle")),
-    ],
-    ids=["1 rank", "2 ranks"],
-)
-def test_interrupt_says_so(command, tmp_path):
-    """Ctrl-C: exit status 130, one line that says how to go on, the rows so far on the disk."""
-    process = subprocess.Popen(
-        [*map(str, command), *LONG, "--output", str(tmp_path / "out")],
-        env=CLEAN, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run in the background
-    )  # fmt: skip
-    while not (tmp_path / "out" / "rows.csv").exists() and process.poll() is None:
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGINT)  # as the terminal does
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert errors.strip() == "interrupted; finished rows are kept, and the same command continues from them"
-    assert os.path.getsize(tmp_path / "out" / "rows.jsonl") > 0
 
 
 @pytest.mark.parametrize("chained", [True, False])
@@ -309,9 +275,3 @@ def test_a_file_that_cannot_be_written_leaves_the_earlier_one(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert (tmp_path / "a").read_text() == "before"
     assert os.listdir(tmp_path) == ["a"]
-
-
-@pytest.mark.slow
-def test_interrupts(tmp_path):
-    """Ctrl-C on one rank and on two: one line at most, and no process is left."""
-    assert [fault.wrong for fault in interrupts(tmp_path, CLEAN, 1)] == ["", ""]

@@ -1,8 +1,11 @@
-"""Saved answers: read as they were saved, on any ranks; damaged or mixed folders are refused with one message."""
+"""Saved answers: read as they were saved, on any ranks, which share the work; damaged folders are refused."""
 
+import errno
 import json
 import os
+import pickle
 import shutil
+import sys
 
 import h5py
 import numpy as np
@@ -14,9 +17,12 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Solution, compare, releases, solve
 from fenicsx_obstacle.forms.pairs import Pair, _register, nodal_rule, register
+from fenicsx_obstacle.io import folder as folder_module
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.mesh.cells import own_cells
-from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.parallel import gathered, largest, on_root, total
+from fenicsx_obstacle.show.boundary import free_boundary, patch_of
+from fenicsx_obstacle.show.free_boundary import near_free_boundary, write_free_boundary
 from tests.conftest import COMM, DEMOS, as_version_02, membrane, slow_except
 from tests.helpers import inside, run_python
 
@@ -259,28 +265,21 @@ FORGED = {
 }
 
 
+FORGERIES = [*((what, "P1") for what in DAMAGE),
+             *((what, element) for what in FORGED for element in ("P2", "Q1-gauss"))]  # fmt: skip
+
+
 @pytest.mark.ranks
-@pytest.mark.parametrize("what", slow_except(DAMAGE, *list(DAMAGE)[:5]))
-def test_forged_fields_are_refused(what, saved, folder):
+@pytest.mark.parametrize(("what", "element"), slow_except(FORGERIES, *FORGERIES[:5], *FORGERIES[-2:]))
+def test_forged_fields_are_refused(what, element, saved, folder):
     """Without contents to compare with: one message on all ranks, no hang, nothing from other files."""
-    saved(folder)
+    saved(folder, element)
     on_root(COMM, as_version_02, folder)
     Answer.read(folder)
-    on_root(COMM, DAMAGE[what], folder)
+    on_root(COMM, (DAMAGE | FORGED)[what], folder)
     with pytest.raises(InputError, match="damaged") as caught:
         Answer.read(folder)
     assert len(str(caught.value).splitlines()) == 1
-
-
-@pytest.mark.parametrize("element", ["P2", "Q1-gauss"])
-@pytest.mark.parametrize("what", slow_except(FORGED, *list(FORGED)[:2]))
-def test_forged_elements_are_refused(what, element, saved, folder):
-    """None ends the process."""
-    saved(folder, element)
-    on_root(COMM, as_version_02, folder)
-    on_root(COMM, FORGED[what], folder)
-    with pytest.raises(InputError, match="damaged"):
-        Answer.read(folder)
 
 
 FIELDS = {
@@ -304,6 +303,7 @@ FIELDS = {
     "remarks": lambda r: {**r, "mesh_remarks": 3},
     "files": lambda r: {**r, "files": ["fields.h5"]},
     "no files": lambda r: {**r, "files": {}},
+    "a text that nests": lambda r: "[" * 100000,
     "a file elsewhere": lambda r: {**r, "files": {**r["files"], "../one": "0"}},
 }
 
@@ -314,17 +314,11 @@ def test_wrong_fields_of_answer_json(what, saved, folder):
 
     def change():
         record = json.loads((folder / "answer.json").read_text())
-        (folder / "answer.json").write_text(json.dumps(FIELDS[what](record)))
+        found = FIELDS[what](record)
+        (folder / "answer.json").write_text(found if isinstance(found, str) else json.dumps(found))
 
     on_root(COMM, change)
     with pytest.raises(InputError, match=r"damaged|missing"):
-        Answer.read(folder)
-
-
-def test_answer_json_that_nests(saved, folder):
-    saved(folder)
-    on_root(COMM, lambda: (folder / "answer.json").write_text("[" * 100000) and None)
-    with pytest.raises(InputError, match="damaged"):
         Answer.read(folder)
 
 
@@ -638,3 +632,84 @@ def test_other_numbers_of_ranks(ranks, element, mesh, folder):
         for name, rows in found.items():
             assert np.allclose(rows, expected[name], rtol=0, atol=1e-14), name
     assert_same(Answer.read(folder / "through"), here)
+
+
+@pytest.mark.parametrize("name, changes", [
+    ("ball", {"mesh.cells": 96}),
+    ("ball", {"mesh.cells": 24, "solve.element": "P2"}),
+    ("two_sided", {}),
+    ("string", {}),
+])  # fmt: skip
+def test_the_free_boundary_needs_only_the_cells_near_it(name, changes):
+    """The same pieces with the same coordinates, to the last digit, as from the whole mesh on rank 0."""
+    answer = solve(Scene.read(DEMOS / f"{name}.toml").change(changes))
+    near, whole = near_free_boundary(answer.fields), gather(answer.fields)
+    if COMM.rank != 0:
+        assert near is None
+        return
+    assert near is not None and (changes.get("mesh.cells") != 96 or len(near.cells) < 0.4 * len(whole["cells"]))
+    ours, theirs = free_boundary(near), free_boundary(patch_of(whole))
+    assert len(ours) == len(theirs) > 0
+    for a, b in zip(ours, theirs, strict=True):
+        assert np.array_equal(a.points[a.cells], b.points[b.cells])
+
+
+@pytest.mark.slow
+def test_rank_0_holds_nothing_of_the_size_of_the_mesh(folder, monkeypatch):
+    """Bytes gathered on rank 0 to save, report and read: as h falls they grow like the free boundary, not like the
+    mesh, of which they are a small part."""
+    sent = []
+
+    def counted(comm, values):
+        found = gathered(comm, values)
+        sent.append(0 if found is None else found.nbytes)
+        return found
+
+    def told(comm, action, *arguments):
+        found = on_root(comm, action, *arguments)
+        sent.append(len(pickle.dumps(found)))
+        return found
+
+    for module in [one for name, one in sys.modules.items() if name.startswith("fenicsx_obstacle.")]:
+        for name, replacement in (("gathered", counted), ("on_root", told)):
+            if module.__name__ != "fenicsx_obstacle.parallel" and hasattr(module, name):
+                monkeypatch.setattr(module, name, replacement)
+    bytes_sent = []
+    for cells in (64, 128):
+        answer = solve("ball", cells=cells)
+        sent.clear()
+        answer.save(folder / str(cells))
+        write_free_boundary(answer.fields, folder / str(cells) / "free_boundary.csv")
+        read = Answer.read(folder / str(cells))
+        assert read.level.dofs == answer.level.dofs
+        bytes_sent.append(COMM.bcast(sum(sent)))
+    assert 0 < bytes_sent[1] < 2.5 * bytes_sent[0]
+    assert bytes_sent[1] < 0.2 * (folder / "128" / "fields.h5").stat().st_size
+
+
+def test_the_file_of_all_ranks_is_plain_hdf5(folder, ball):
+    """Every array stands in it as rank 0 would have gathered it, without gaps or compression."""
+    answer = solve(ball, cells=16)
+    answer.save(folder)
+    arrays = gather(answer.fields)
+    with h5py.File(folder / "fields.h5") as file:
+        assert set(file) >= {"points", "cells", "gdim", "u", "pressure", "contact", "lower", "gap", "error"}
+        for name, values in arrays.items():
+            assert file[name].dtype == values.dtype and np.array_equal(file[name][()], values), name
+
+
+def test_a_rank_that_cannot_write_is_told_on_all(folder, ball, monkeypatch):
+    """As if the disk of the last rank were full: an earlier result stays whole."""
+    answer = solve(ball, cells=8)
+    answer.save(folder)
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+
+    def full(*_):
+        if COMM.rank == COMM.size - 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(folder_module, "fill", full)
+    with pytest.raises(InputError, match="cannot be written: No space left on device; the old content stays"):
+        answer.save(folder)
+    COMM.barrier()
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before

@@ -19,18 +19,18 @@ def test_cuts_of_cells_with_large_numbers(dim, count):
     """Cells of 32-bit numbers are cut, and have levels, as cells of small numbers."""
     small = np.vander(np.linspace(0.1, 0.9, dim + 3), 3, increasing=True) * [1, 1, 2]
     cells = np.array([[*range(dim), last] for last in range(dim, dim + 3)], dtype=np.int32)
-    points, place = np.zeros((count, 3)), count - len(small)
-    points[place:] = small
+    points, position = np.zeros((count, 3)), count - len(small)
+    points[position:] = small
     fields = {"u": small[:, 0], "lower": np.full(len(small), 0.1), "contact": np.eye(len(small))[0]}
     fields["pressure"] = fields["contact"]
-    whole = {name: np.concatenate([np.ones(place, values.dtype), values]) for name, values in fields.items()}
+    whole = {name: np.concatenate([np.ones(position, values.dtype), values]) for name, values in fields.items()}
     expected = with_levels(Patch(small, cells, fields))
-    found = with_levels(Patch(points, cells + np.int32(place), whole))
+    found = with_levels(Patch(points, cells + np.int32(position), whole))
     assert found.cells.dtype == np.int32
-    assert np.array_equal(found.fields["level lower"][place:], expected.fields["level lower"])
-    assert np.array_equal(rim(found.cells) - place, rim(expected.cells))
+    assert np.array_equal(found.fields["level lower"][position:], expected.fields["level lower"])
+    assert np.array_equal(rim(found.cells) - position, rim(expected.cells))
     level = expected.fields["level lower"]
-    cut, other = zero(expected, level), zero(found, np.concatenate([np.ones(place), level]))
+    cut, other = zero(expected, level), zero(found, np.concatenate([np.ones(position), level]))
     assert len(cut.cells)
     assert np.array_equal(cut.points[cut.cells], other.points[other.cells])
 

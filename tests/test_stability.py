@@ -9,7 +9,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
-from tests.conftest import COMM
+from tests.conftest import COMM, ON_SEVERAL_RANKS
 from tests.theory.constants import Stability
 from tests.theory.stability import CASES, GAUSS
 from tests.theory.statement import slope
@@ -95,6 +95,7 @@ def test_dual_norm_needs_a_rule_exact_on_V():
     assert stability("Q1 perturbed", 8).consistency() > 0.01
 
 
+@ON_SEVERAL_RANKS
 def test_ranks():
     """1, 2 and 3 ranks find what one rank finds on its own."""
     scene = Scene(mesh={"shape": "rectangle", "cells": 8, "perturb": 0.25}, tension=1)

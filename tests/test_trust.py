@@ -24,7 +24,7 @@ from fenicsx_obstacle.mesh import meshing
 from fenicsx_obstacle.parallel import replaced, write_text
 from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, DEMOS, slow_except
-from tests.helpers import LAUNCHER, inside, run
+from tests.helpers import LAUNCHER, run
 from tests.processes import launch
 
 pytestmark = pytest.mark.serial
@@ -273,57 +273,6 @@ def test_a_plugin_is_known_by_its_content(tmp_path, monkeypatch):
         assert number == sys.modules["fenicsx_obstacle_plugin_mine"].VALUE
     assert len(set(plugin.contents)) == 4
     assert not list(tmp_path.rglob("mine*.pyc"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("key", [
-    "a" + ".a" * 10**5 + " = 1", "x = {a" + ".a" * 10**5 + " = 1}", "[a" + ".'b'" * 10**5 + "]",
-    '[["a"' + ' . "b"' * 10**5 + "]]",
-])  # fmt: skip
-def test_keys_of_many_parts(key, tmp_path):
-    (tmp_path / "a.toml").write_text(f"{key}\n")
-    done = subprocess.run(
-        ["timeout", "20", *launch(1, "-m", "fenicsx_obstacle", "explain", "a.toml")], cwd=tmp_path,
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2 and done.stderr == "Error: a.toml: nested too deeply\n"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("line", [
-    'mesh = {file = "a\\u0000.msh"}', 'obstacle = {lower = {file = "a\\u0000.csv"}}',
-    'effects = {tension = 1, load = {file = "a\\u0000.npy"}}',
-])  # fmt: skip
-@pytest.mark.parametrize("command", ["solve", "study"])
-def test_a_nul_in_a_name(line, command, tmp_path):
-    plain = {"mesh": 'mesh = {shape = "rectangle"}', "effects": "effects = {tension = 1, load = -1}",
-             "obstacle": "obstacle = {lower = -0.05}"}  # fmt: skip
-    plain[line.partition(" ")[0]] = line
-    (tmp_path / "a.toml").write_text("\n".join(plain.values()) + "\nboundary = [{value = 0}]\n")
-    done = inside(command, "a.toml", *(["--vary", "eps=1e-2,1e-3"] if command == "study" else []), cwd=tmp_path)
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "a\\x00" in done.stderr, done.stderr
-    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").rglob("*.json"))
-
-
-OUTSIDE, INFINITE = {"from": [5, 5], "to": [6, 6]}, {"from": [0, 0], "to": [1, 1], "compare": {"u": "1/x"}}
-MOVING = {"end": 1, "steps": 2}
-
-
-@pytest.mark.parametrize(("profile", "name", "time"), [
-    (INFINITE, "a", None), (INFINITE, "a", MOVING), (OUTSIDE, "a", None), (OUTSIDE, "a", MOVING),
-    ({"from": [0, 0], "to": [0, 0]}, "a", None), ({"on": "nowhere"}, "a", MOVING),
-    ({"from": [0, 0], "to": [1, 1]}, "a" * 200, None), ({"from": [0, 0], "to": [1, 1]}, "\u00e9" * 60, MOVING),
-])  # fmt: skip
-def test_a_rejected_profile_leaves_no_folder(profile, name, time, tmp_path):
-    scene = Scene(
-        mesh={"shape": "rectangle", "cells": 4}, tension=1, load=-1 if time is None else "-t", lower=-0.05, time=time
-    )
-    lines = [f"{key} = {json.dumps(value).replace(': ', ' = ')}" for key, value in profile.items()]
-    table = f"[profile.'{name}']\n" + "\n".join(lines).replace('{"', "{").replace('" =', " =")
-    (tmp_path / "a.toml").write_text(f"{scene.toml()}\n{table}\n")
-    done = inside("solve", "a.toml", "--output", "result", cwd=tmp_path)
-    assert done.returncode == 2 and "[profile." in done.stderr, done.stderr
-    assert os.listdir(tmp_path) == ["a.toml"]
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tests.cli.broken.case import Broken
-from tests.cli.broken.files import broken_files, broken_meshes, contradictions
+from tests.cli.broken.files import broken_files, broken_heights, broken_meshes, contradictions
 from tests.cli.broken.lines import broken_lines
 from tests.cli.broken.options import RESULT, broken_options, torn_results
 
@@ -57,5 +57,5 @@ def collect(root: Path) -> list[Broken]:
     result = {path.name: path.read_bytes() for path in sorted((right / RESULT).iterdir()) if path.is_file()}
     meshes = {name: (right / name).read_bytes() for name in ("text.msh", "binary.msh", "old.msh", "text.geo")}
     meshes |= {name: result[name] for name in ("fields.xdmf", "fields.h5")}
-    return [*broken_lines(), *broken_files(), *contradictions(), *broken_meshes(meshes), *broken_options(),
-            *torn_results(result)]  # fmt: skip
+    return [*broken_lines(), *broken_files(), *contradictions(), *broken_heights(), *broken_meshes(meshes),
+            *broken_options(), *torn_results(result)]  # fmt: skip

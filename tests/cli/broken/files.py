@@ -31,6 +31,7 @@ def broken_files() -> Iterator[Broken]:
         ("NUL bytes", b"\0" * 4096, []),
         ("a picture", b"\x89PNG\r\n\x1a\n" + bytes(200), []),
         ("JSON", b'{"mesh": {"shape": "rectangle"}}\n', ["TOML"]),
+        ("a misspelt table", b"[mash]\n", ["unknown table or key 'mash'; did you mean 'mesh'"]),
         ("a key twice", PLAIN.replace(b"cells = 4", b"cells = 4\ncells = 5"), ["TOML", "line"]),
         ("a table twice", PLAIN + b"[mesh]\ncells = 8\n", ["TOML", "mesh"]),
         ("a table and a list of tables", PLAIN + b"[boundary]\nvalue = 1\n", ["TOML", "boundary"]),
@@ -41,6 +42,10 @@ def broken_files() -> Iterator[Broken]:
         ("1e5 brackets", b"a = " + b"[" * 100000 + b"]" * 100000, []),
         ("1e5 nested tables", b"a = " + b"{a = " * 100000 + b"1" + b"}" * 100000, []),
         ("1e4 dots in a key", b"a" + b".a" * 10000 + b" = 1\n", []),
+        ("1e5 dots in a key", b"a" + b".a" * 10**5 + b" = 1\n", ["nested too deeply"]),
+        ("1e5 dots in a key in braces", b"x = {a" + b".a" * 10**5 + b" = 1}\n", ["nested too deeply"]),
+        ("1e5 dots in a table's name", b"[a" + b".'b'" * 10**5 + b"]\n", ["nested too deeply"]),
+        ("1e5 dots in the name of a list of tables", b'[["a"' + b' . "b"' * 10**5 + b"]]\n", ["nested too deeply"]),
         ("1e5 characters in a key", b"[mesh]\n" + b"a" * 100000 + b" = 1\n", ["[mesh]"]),
         ("1e5 tables of a boundary", PLAIN + b"[[boundary]]\nvalue = nan\n" * 20000, ["boundary"]),
         ("64 MB", b"#" * (64 << 20), []),
@@ -53,7 +58,11 @@ def broken_files() -> Iterator[Broken]:
         ("2e4 names", _bomb(many, "q7", "[obstacle] lower"), ["q7"]),
         ("names in a circle", _bomb('a = "b"\nb = "a"\n', "a", "[obstacle] lower"), ["[define] a", "'b'"]),
         ("a name of itself", _bomb('a = "a + 1"\n', "a", "[obstacle] lower"), ["[define] a"]),
-        ("a name that is taken", _bomb("sin = 1\n", "1", "[obstacle] lower"), ["[define] sin"]),
+        (
+            "a name that is taken",
+            _bomb("sin = 1\n", "1", "[obstacle] lower"),
+            ["[define] sin", "'sin' has a meaning already"],
+        ),
         ("a word of Python as a name", _bomb("lambda = 1\n", "1", "[obstacle] lower"), ["[define] lambda"]),
         ("a name of Python's own", _bomb("__builtins__ = 1\n", "__builtins__.x", "[obstacle] lower"), ["[obstacle]"]),
     ]
@@ -64,52 +73,175 @@ def broken_files() -> Iterator[Broken]:
 def contradictions() -> Iterator[Broken]:
     """Scenes whose lines are right one by one, but not together."""
     cases: list[tuple[str, dict[str, str | None], list[str]]] = [
-        ("no mesh", {"[mesh] shape": None}, ["[mesh]", "shape"]),
+        ("no mesh", {"[mesh] shape": None, "[mesh] x": None, "[mesh] cells": None}, ["either a 'shape' or a 'file'"]),
         ("shape and file", {"[mesh] file": '"a.msh"'}, ["[mesh]", "file"]),
-        ("no tension", {"[effects] tension": None}, ["[effects]", "tension"]),
-        ("tension negative in places", {"[effects] tension": '"x - 0.5"'}, ["tension", "(0"]),
+        ("a misspelt key", {"[mesh] cells": None, "[mesh] cels": "4"},
+         ["[mesh] unknown key 'cels'; did you mean 'cells'"]),
+        ("a misspelt effect", {"[effects] lod": "1"}, ["[effects] unknown effect 'lod'; did you mean 'load'"]),
+        ("a misspelt word", {"[mesh] shape": '"rectangel"'}, ["'rectangel' is not known; did you mean 'rectangle'"]),
+        ("a key of another shape", {"[mesh] radius": "4"},
+         ["[mesh] radius = 4: does not belong to shape = 'rectangle'; its keys are: "]),
+        ("no cells", {"[mesh] cells": '"many"'}, ["[mesh] cells = 'many': expected a whole number"]),
+        ("an interval turned", {"[mesh] x": "[1, 0]"}, ["first end must be less than the second"]),
+        ("one bracket", {"[[boundary]] on": None, "[[boundary]] value": None, "[boundary] value": "0"},
+         ["[boundary]: write [[boundary]], in double brackets"]),
+        ("a place in a formula", {"[effects] load": '"2*y + q"'},
+         ["load: unknown name 'q'", "\n    2*y + q\n          ^"]),
+        ("a place in no formula", {"[effects] load": '"2*^y"'}, ["cannot read this formula\n    2*^y\n       ^"]),
+        ("an attribute", {"[effects] load": '"x.real"'}, ["not allowed in a formula"]),
+        ("a subscript", {"[effects] load": '"x[0]"'}, ["not allowed in a formula; the coordinates are x, y and z"]),
+        ("a prefix", {"[effects] load": '"np.sin(x)"'},
+         ["not allowed in a formula; functions have no prefix: sin(...)"]),
+        ("an import", {"[effects] load": "\"__import__('os')\""}, ["unknown function '__import__'"]),
+        ("a nested formula", {"[effects] load": f'"{"-" * 1500}1"'}, ["nested"]),
+        ("a long formula", {"[effects] load": f'"{"-" * 100000}1"'}, ["the limit is 2000"]),
+        ("no tension", {"[effects] tension": None}, ["[effects]", "add 'tension = 1'"]),
+        ("tension negative in places", {"[effects] tension": '"x - 0.5"'},
+         ["tension", "must be positive; it is -", "(0"]),
         ("tension zero", {"[effects] tension": "0"}, ["tension", "positive"]),
         ("tension of materials without materials", {"[effects] tension": "{steel = 1}"}, ["tension", "steel"]),
-        ("obstacles cross", {"[obstacle] lower": '"x"'}, ["[obstacle]", "lower", "upper", "0.5"]),
-        ("a boundary value below", {"[obstacle] lower": "0.1"}, ["[[boundary]]", "lower", "0.1"]),
+        ("obstacles cross", {"[obstacle] lower": '"x"'}, ["[obstacle] lower is above upper: by 0.5 at (1, "]),
+        ("a boundary value below", {"[obstacle] lower": "0.1"},
+         ["[[boundary]] (no. 1) value = 0 lies below the lower obstacle: 0 against 0.1 at (0, 0), so that no u"]),
         ("a boundary value above", {"[obstacle] upper": "-0.001"}, ["[[boundary]]", "upper", "0.001"]),
-        ("a side that is not there", {"[[boundary]] on": '"lft"'}, ["on", "'lft'", "left"]),
+        ("a side that is not there", {"[[boundary]] on": '"lft"'}, ["on", "no part named 'lft'; did you mean 'left'"]),
         ("no side", {"[[boundary]] on": "[]"}, ["[[boundary]]", "on"]),
         ("on and where", {"[[boundary]] where": '"x == 0"'}, ["on", "where"]),
         ("where nowhere", {"[[boundary]] on": None, "[[boundary]] where": '"x > 7"'}, ["where", "x > 7"]),
         ("where by distance", {"[[boundary]] on": None, "[[boundary]] where": '"distance < 1"'}, ["where", "distance"]),
-        ("no value", {"[[boundary]] value": None}, ["[[boundary]]", "value"]),
+        ("where without value", {"[[boundary]] on": None, "[[boundary]] where": '"sqrt(x - 10)"'},
+         ["where = sqrt", "not a finite number"]),
+        ("where undecided", {"[[boundary]] on": None, "[[boundary]] where": '"sqrt(x - 0.5) > 0.2"'},
+         ["(no. 1) where = sqrt", "nan at (", "), where a side of a comparison has no value: first say"]),
+        ("a load that is undecided",
+         {"[define] on": '"not sqrt(x - 0.5) < 0.2"', "[effects] load": '"where(on, 1, 0)"'},
+         ["load = where", "nan at (", "because of [define] on = ", ", where a side of a comparison has no value"]),
+        ("no value", {"[[boundary]] value": None}, ["[[boundary]]", "the key 'value' is missing"]),
         ("nothing holds it", {key: None for key in LINES if "bound" in key or "obst" in key}, ["[[boundary]]"]),
-        ("log of a coordinate", {"[obstacle] lower": '"ln(x - 0.5)"'}, ["[obstacle] lower", "(0"]),
+        ("log of a coordinate", {"[obstacle] lower": '"ln(x - 0.5)"'},
+         ["[obstacle] lower", "not a finite number", "(0"]),
         ("overflow at a point", {"[effects] load": '"exp(1000*x)"'}, ["[effects] load", "inf"]),
         ("triangles in a box", {"[mesh] shape": '"box"', "[mesh] cell": '"triangle"'}, ["[mesh] cell"]),
-        ("an element for other cells", {"[mesh] cell": '"triangle"', "[solve] element": '"Q1"'}, ["[solve]", "Q1"]),
+        ("hexahedra in a plane", {"[mesh] cell": '"hexahedron"'}, ["this shape has triangle or quadrilateral cells"]),
+        ("an element that is not there", {"[solve] element": '"P3"'}, ["element = 'P3' is not known"]),
+        ("an element for other cells", {"[mesh] cell": '"triangle"', "[solve] element": '"Q1"'},
+         ["[solve]", "element Q1 is for quadrilateral, hexahedron cells, not for a triangle"]),
         ("refined quadrilaterals", {"[mesh] cell": '"quadrilateral"', "[mesh] refine": "1"}, ["[mesh] refine"]),
         ("too many refinements", {"[mesh] refine": "20"}, ["[mesh]", "memory", "refine"]),
         ("1e8 cells", {"[mesh] cells": "100000000"}, ["[mesh]", "memory", "cells"]),
         ("a thin strip", {"[mesh] x": "[0, 1e-9]", "[mesh] cells": "100"}, ["[mesh]", "memory"]),
         ("eps that turns negative", {"[solve] eps": '"0.5 - 10*h"'}, ["[solve] eps", "positive"]),
+        ("eps below 0", {"[solve] eps": "-1"}, ["[solve] eps = -1: must be positive"]),
         ("eps by place", {"[solve] eps": '"x"'}, ["[solve] eps", "'x'"]),
         ("floor in the solution", {"[exact] u": '"floor(x)"'}, ["[exact] u", "floor"]),
         ("distance in the solution", {"[exact] u": '"distance"'}, ["[exact] u", "distance"]),
-        ("pressure without solution", {"[exact] pressure": "0"}, ["[exact]", "'u'"]),
-        ("a field outside of a functional", {"[report] q": '"u + 1"'}, ["[report] q", "integral"]),
-        ("a figure of a later one", {"[report] q": '"q2"', "[report] q2": "1"}, ["[report] q", "q2"]),
+        ("pressure without solution", {"[exact] pressure": "0"}, ["[exact] the key 'u' is missing"]),
+        ("pressure of an unknown name", {"[exact] u": "0", "[exact] pressure": '"q7"'},
+         ["[exact] pressure: unknown name 'q7'"]),
+        ("a misspelt pressure", {"[exact] u": "0", "[exact] presure": "0"},
+         ["[exact] unknown key 'presure'; did you mean 'pressure'"]),
+        ("pressure by distance", {"[exact] u": "0", "[exact] pressure": '"distance"'}, ["not allowed in [exact"]),
+        ("a rate of no norm", {"[exact] u": "0", "[exact] rates": "{l3 = 1}"}, ["unknown key 'l3'"]),
+        ("a field outside of a functional", {"[report] q": '"2*u"'},
+         ["[report] q", "'u' is a field: use integral, at, max or min of it\n    2*u\n      ^"]),
+        ("a definition outside", {"[define] f": '"x"', "[report] q": '"1 + f"'}, ["[report] q", "'f' is a field"]),
+        ("a point that varies", {"[report] q": '"at(u, x, 0)"'}, ["[report] q", "'x' is a field"]),
+        ("an unknown field", {"[report] q": '"integral(v)"'},
+         ["[report] q: unknown name 'v'", "\n    integral(v)\n             ^"]),
+        ("a figure of a later one", {"[report] q": '"q2"', "[report] q2": "1"}, ["[report] q", "unknown name 'q2'"]),
         ("a figure named like a field", {"[report] p": "1"}, ["[report] p"]),
         ("a figure with a strange name", {"[report] 'a-b'": "1"}, ["[report] a-b"]),
-        ("a part that is not there", {"[report] q": "\"integral(u, 'nowhere')\""}, ["[report] q", "nowhere"]),
-        ("a part without name", {"[report] q": '"integral(u, x)"'}, ["[report] q", "quotes"]),
-        ("at a place outside", {"[report] q": '"at(u, 7, 7)"'}, ["[report] q", "(7, 7)"]),
-        ("at with one coordinate", {"[report] q": '"at(u, 0.5)"'}, ["[report] q", "coordinate"]),
+        ("a part that is not there", {"[report] q": "\"integral(u, 'lft')\""},
+         ["[report] q", "no part of the mesh named 'lft'; did you mean 'left'"]),
+        ("a part without name", {"[report] q": '"integral(u, left)"'},
+         ["[report] q", "expected the name of a part of the mesh, in quotes"]),
+        ("a text in place of a field", {"[report] q": "\"integral('left')\""},
+         ["[report] q", "not allowed in a formula"]),
+        ("at a place outside", {"[report] q": '"at(u, 7, 7)"'}, ["[report] q", "the point (7, 7) is outside the mesh"]),
+        ("at a place outside that is computed", {"[report] q": '"at(u, 2*integral(1), 0.5)"'},
+         ["the point (2, 0.5) is outside the mesh"]),
+        ("at with one coordinate", {"[report] q": '"1 + at(u, 1)"'},
+         ["[report] q", "at() needs 2 coordinates here, not 1\n    1 + at(u, 1)\n        ^"]),
         ("at a place that is no number", {"[report] q": '"at(u, 0/0, 0)"'}, ["[report] q"]),
-        ("max of no argument", {"[report] q": '"max()"'}, ["[report] q", "max"]),
-        ("normal flux in the domain", {"[report] q": '"integral(normal_flux)"'}, ["[report] q", "normal_flux"]),
+        ("sup of two arguments", {"[report] q": '"sup(u, 1)"'}, ["[report] q", "sup takes 1 argument, not 2"]),
+        ("max of no argument", {"[report] q": '"max()"'}, ["[report] q", "max takes 2 to 9 arguments, not 0"]),
+        ("normal flux in the domain", {"[report] q": '"integral(normal_flux)"'},
+         ["[report] q", "normal_flux is defined on a part of the boundary only: integral(n"]),
+        ("normal flux at a point", {"[report] q": '"at(normal_flux, 0, 0)"'},
+         ["[report] q", "normal_flux is defined on a part of the boundary"]),
+        ("normal flux alone", {"[report] q": '"1 + normal_flux"'},
+         ["[report] q", "normal_flux is defined on a part of the boundary"]),
         ("an exact solution with a pole", {"[exact] u": '"1/x"'}, ["[exact] u"]),
         ("an exact solution that is NaN", {"[exact] u": '"sqrt(x - 2)"'}, ["[exact] u"]),
     ]  # fmt: skip
-    for what, changed, names in cases:
+    for what, changed, names in [*cases, *_profiles()]:
         text = scene_text({**LINES, **changed})
         yield Broken(f"scene: {what}", [SCENE, *names], files={SCENE: text.encode()})
+    several = PLAIN.replace(b"upper = 0.5", b"upper = '3/2 - y'") + b"[[boundary]]\non = 'top'\nvalue = 'x'\n"
+    yield Broken(
+        "scene: a boundary value above, of the last of several parts",
+        [
+            SCENE,
+            "(no. 2) value = x lies above the upper obstacle: 1 against 0.5 at (1, 1), so that no u satisfies both",
+        ],
+        files={SCENE: several},
+    )
+
+
+def broken_heights() -> Iterator[Broken]:
+    """Tables of heights that are none."""
+    square = b"0,0,1\n1,0,2\n0,1,3\n1,1,4\n"
+    cases: list[tuple[bytes | None, str, str]] = [
+        (None, "", "no such file"),
+        (b"", "", "is empty"),
+        (b"x,y,z\n", "", "holds no numbers"),
+        (b"0,0,1\n1,0,2\n0,1\n", "", "line 3 has 2 columns, the lines before it 3"),
+        (b"x,y,z\n0,0,1\n1,0,two\n0,1,1\n", "", "line 3: 'two' is no number"),
+        (b"0,0,1\n1,0,nan\n0,1,\n1,1,1\n", "",
+         "2 of 4 values are not finite numbers: at (1, 0); (0, 1); replace"),
+        (b"0,0,1\n1,1,2\n2,2,3\n", "", "3 points that span no area"),
+        (b"0,0,1\n1,0,2\n0,1,3\n0,0,4\n", "", "two heights or more at (0, 0)"),
+        (b"1,2,3,4\n1,2,3,4\n", "", "heights alone, 2 x 4: give extents, x = "),
+        (b"1,2,3,4\n1,2,3,4\n", "x = [1, 0], y = [0, 1]", "x must ascend"),
+        (square, "x = [0, 1]", "x has no meaning for data that have coordinates"),
+        (square, "scale = 0", "scale = 0"),
+        (square, "shift = [1, 2]", "shift = [1.0, 2.0]: expected [x, y, z]"),
+        (square, "shft = [1, 2, 3]", "unknown key 'shft'; did you mean 'shift'"),
+        (b"0,0,1\n1,0,2\n0,1,3\n", "smooth = 0.1", "smooth is for heights on a grid"),
+        (square.replace(b"\n1,", b"\n0.9,"), "", "; the data reach over x = 0 .. 0.9, y = 0 .. 1"),
+    ]  # fmt: skip
+    for content, keys, message in cases:
+        datum = f'{{file = "bad.csv"{", " * bool(keys)}{keys}}}'
+        text = scene_text({**LINES, "[obstacle] upper": None, "[obstacle] lower": datum})
+        yield Broken(f"heights: {message}", [SCENE, "[obstacle] lower", message],
+                     files={SCENE: text.encode(), **({} if content is None else {"bad.csv": content})})  # fmt: skip
+
+
+def _profiles() -> Iterator[tuple[str, dict[str, str | None], list[str]]]:
+    """Lines that are none: what is wrong, the keys of [profile.line], and the message."""
+    cases: list[tuple[str, dict[str, str], str]] = [
+        ("outside", {"from": "[0, 0]", "to": "[1, 2]"}, ") is outside the mesh"),
+        ("in space", {"from": "[0, 0, 0]", "to": "[1, 1, 0]"}, "from: needs 2 coordinates, not 3"),
+        ("without end", {"from": "[0, 0]"}, "needs the keys 'from' and 'to', or 'on'"),
+        ("of one point", {"from": "[0, 0]", "to": "[0, 0]"}, "from and to are the same point"),
+        ("of n = 1", {"from": "[0, 0]", "to": "[1, 0]", "n": "1"}
+         , "[profile.line] n = 1: expected a whole number >= 2"),
+        ("on no curve", {"on": '"tob"'}, "no curve named 'tob'; did you mean 'top'"),
+        ("with an unknown key", {"from": "[0, 0]", "to": "[1, 1]", "m": "3"}, "unknown key 'm'"),
+        ("beside no quantity", {"on": '"top"', "compare": '{gap = "x"}'},
+         "compare gap: no quantity of this name (known: p, u)"),
+        ("beside no formula", {"on": '"top"', "compare": '{p = "q*x"}'}, "unknown name 'q'"),
+        ("beside a list", {"on": '"top"', "compare": "{p = [1]}"}, "a number or a formula"),
+        ("beside a pole", {"from": "[0, 0]", "to": "[1, 1]", "compare": '{u = "1/x"}'}, "[profile."),
+    ]  # fmt: skip
+    moving: dict[str, str | None] = {"[time] end": "1", "[time] steps": "2"}
+    for what, keys, message in cases:
+        lines: dict[str, str | None] = {f"[profile.line] {key}": value for key, value in keys.items()}
+        yield f"a profile {what}", lines, ["[profile.line]", message]
+        yield f"a profile {what}, in time", {**lines, **moving}, ["[profile.line]", message]
+    for name in ("a" * 200, "\u00e9" * 60):
+        table = f"[profile.'{name}']"
+        yield "a profile's long name", {f"{table} from": "[0, 0]", f"{table} to": "[1, 1]", **moving}, ["[profile."]
 
 
 def broken_meshes(right: Mapping[str, bytes]) -> Iterator[Broken]:
@@ -151,6 +283,7 @@ def broken_meshes(right: Mapping[str, bytes]) -> Iterator[Broken]:
     ]  # fmt: skip
     for what, name, given, names in cases:
         yield _mesh(f"mesh file: {what}", name, {} if given is None else {name: given}, [name, *names])
+    yield _mesh("mesh file: a NUL in a name", "a\\u0000.msh", {}, ["a\\x00.msh: no such"])
     shape_in_file = scene_text({**LINES, "[mesh] shape": None, "[mesh] file": '"a.msh"', "[mesh] cells": None,
                                 "[mesh] x": None, "[[boundary]] on": '"lft"'})  # fmt: skip
     quadrilaterals = scene_text({"[mesh] file": '"a.msh"', "[effects] tension": "1", "[[boundary]] value": "0",

@@ -111,11 +111,13 @@ def broken_lines() -> Iterator[Broken]:
     for what, value in {"negative": "-0.1", "zero": "0", "not a number": "nan", **TYPES}.items():
         yield _with("[time] tolerance", value, what)
     for what, value in {
-        "turned": "[1, 0]", "without length": "[1, 1]", "one number": "[1]", "three numbers": "[0, 1, 2]",
+        "without length": "[1, 1]", "one number": "[1]", "three numbers": "[0, 1, 2]",
         "no list": "1", "not a number": "[0, nan]", "infinite": "[-inf, 1]", "a place": '[0, "x"]',
         "too long": "[0, 1e200]", "too short": "[1, 1.000000000000001]", **TYPES,
     }.items():  # fmt: skip
         yield _with("[mesh] x", value, what)
+    for key, ending in (("[obstacle] lower", "csv"), ("[effects] load", "npy")):
+        yield _with(key, f'{{file = "a\\u0000.{ending}"}}', "a NUL in a name", "a\\x00")
     for table in ("define", "mesh", "effects", "obstacle", "boundary", "exact", "report", "solve", "time", "nonsense"):
         for what, value in {"a number": "1", "a text": '"a"', "a list": "[1]"}.items():
             kept = {key: line for key, line in LINES.items() if f"[{table}]" not in key}
@@ -124,7 +126,7 @@ def broken_lines() -> Iterator[Broken]:
         yield _with(f"[{table}] nonsense", "[]", "an unknown key")
 
 
-def _with(key: str, value: str, what: str) -> Broken:
+def _with(key: str, value: str, what: str, *words: str) -> Broken:
     lines: dict[str, str | None] = {**LINES, **(MOVING if key.startswith("[time]") else {}), key: value}
     if key == "[mesh] file":
         lines["[mesh] shape"] = None
@@ -138,7 +140,7 @@ def _with(key: str, value: str, what: str) -> Broken:
     if key in ("[exact] free", "[exact] regularity"):
         lines["[exact] u"] = "0"
     table, _, name = key.rpartition(" ")
-    return Broken(f"{key}: {what}", [SCENE, table, name], files=_file(scene_text(lines)))
+    return Broken(f"{key}: {what}", [SCENE, table, name, *words], files=_file(scene_text(lines)))
 
 
 def _file(text: str) -> dict[str, bytes]:

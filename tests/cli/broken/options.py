@@ -31,6 +31,17 @@ _VARIED = ["", "cells", "cells=", "cells=1,x", "cells=0..4", "cells=a..b", "cell
            "method=penalty,newton", "define.nope=1,2", "cells=1,,2", "define.c=1e308..1e-308:2000000"]  # fmt: skip
 
 
+_INCOMPLETE = b'[mesh]\nshape = "rectangle"\ncells = 4\n[effects]\nload = "2*q"\n'
+_SETTINGS = {
+    "define.q=3": "has no stiffness",
+    "effects.tension=1; define.q=1; define.other=2": "no 'other', and no formula uses it",
+    "effects.tensoin=1; define.q=1": "did you mean 'tension'",
+    "boundary.3.value=1": "'3' is no item of the list; take a number from 0 to 0",
+    "boundary.first.value=1": "'first' is no item of the list",
+    "boundary.0=1": "is no item of the list, which is empty",
+    "effects.load.a=1": "load is no table",
+    "effects=3; effects.tension=1": "effects is no table",
+}
 Q1 = ("--element", "Q1", "--set", "report={}", "--set", "mesh.cell=quadrilateral")
 _LATER = b"""[mesh]
 shape = "interval"
@@ -54,6 +65,9 @@ def broken_options() -> Iterator[Broken]:
             # of a setting the message is about the key
             named = value.partition("=")[0].rpartition(".")[2] if "=" in value[1:] else option.strip("-")
             yield Broken(f"{option} {value!r}", [named], ("solve", SCENE, option, value), files)
+    for settings, message in _SETTINGS.items():
+        given = [word for setting in settings.split("; ") for word in ("--set", setting)]
+        yield Broken(f"--set {settings}", [message], ("solve", SCENE, *given), {SCENE: _INCOMPLETE})
     for value in _VARIED:
         # the complaint is about the option, or about the key that it sets
         yield Broken(f"--vary {value!r}", [], ("study", SCENE, "--vary", value), files)
@@ -76,7 +90,7 @@ def broken_options() -> Iterator[Broken]:
         ("eps of a vi", ["study", SCENE, "--vary", "eps=1,2", "--method", "vi"], ["eps"]),
         ("two tolerances", ["solve", SCENE, "--tol", "0.1", "--tol-absolute", "0.1"], ["--tol"]),
         ("a budget without tolerance", ["solve", SCENE, "--budget", "60s"], ["--tol"]),
-        ("a bound for Q1", ["solve", SCENE, "--bound", *Q1], ["bound"]),
+        ("a bound for Q1", ["solve", SCENE, "--bound", *Q1], ["bound", "P1 on intervals"]),
         ("a tolerance for Q1", ["solve", SCENE, "--tol", "0.1", *Q1], ["Q1"]),
         ("output into a file", ["solve", SCENE, "--output", SCENE], ["--output"]),
         ("output below a file", ["solve", SCENE, "--output", f"{SCENE}/a/b"], ["--output"]),
