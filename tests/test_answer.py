@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Answer, NotConverged, Scene, compare, solve, study
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -120,6 +121,34 @@ def test_compare_on_one_mesh():
 
 
 @pytest.mark.slow
+def test_the_common_contact_of_disks_and_of_parts_of_an_edge():
+    """Disks about an axis have areas a^2, and parts of an edge their lengths, whatever the cells beside it are."""
+    disks = [
+        solve(Scene(mesh={"shape": "interval", "cells": 200}, tension=1, load=load, axial_symmetry=True, lower=-0.3,
+                    boundary=[{"on": "right", "value": 0}]))
+        for load in (-4, -6)
+    ]  # fmt: skip
+    ratio = disks[0].area / disks[1].area
+    assert compare(*disks)["contact"]["jaccard"] == pytest.approx(ratio, abs=0.02)
+    mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [40, 12])
+    x = mesh.geometry.x
+    x[:, 0] = x[:, 0] ** 2
+    x[:, 1] = x[:, 1] ** (1 + 3 * x[:, 0])
+    edges = [
+        solve(
+            Scene(
+                mesh=mesh,
+                tension=1,
+                load=load,
+                boundary=[{"where": "y > 1 - 1e-9", "value": 0}, {"where": "y < 1e-9", "lower": "-0.2 - 0.8*x"}],
+            )
+        )
+        for load in (-1, -1.5)
+    ]
+    ratio = edges[0].area / edges[1].area
+    assert compare(*edges)["contact"]["jaccard"] == pytest.approx(ratio, abs=0.06)
+
+
 def test_compare_on_two_meshes():
     """A coarse answer against a finer one: about the coarse error, in both orders of the arguments."""
     scene = Scene.read(DEMOS / "ball.toml")

@@ -15,7 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.mesh.cells import corners, own_cells, volumes
+from fenicsx_obstacle.mesh.cells import corners, facet_corners, own_cells, volumes
 from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import largest, on_root, total
@@ -57,12 +57,11 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     outside = np.isnan(there["u"])
     difference = {name: np.where(outside, 0.0, getattr(fine, name).x.array - there[name]) for name in there}
     ours, theirs = fine.contact.x.array > 0.5, there["contact"] > 0.5
-    joint = _area(fine, ours | theirs)
     return {
         "u": _norms(fine, difference["u"]),
         "pressure": {key: value for key, value in _norms(fine, difference["pressure"]).items() if key in ("l2", "max")},
         "contact": {
-            "jaccard": _area(fine, ours & theirs) / joint if joint else 1.0,
+            "jaccard": _jaccard(fine, ours, theirs),
             "hausdorff": _hausdorff(a, b),
             "area": [x.record["contact"]["area"] for x in (a, b)],
         },
@@ -112,11 +111,23 @@ def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
     return norms
 
 
-def _area(answer: Solution, nodes: np.ndarray) -> float:
-    """The sum of D_i over some local nodes (collective)."""
-    level, cells = answer.level, slice(own_cells(answer.level.mesh))
-    shares = nodes[releases.cell_dofs(level.V)[cells]].mean(axis=1)
-    return total(level.comm, volumes(corners(level.mesh, cells)) * shares)
+def _jaccard(answer: Solution, ours: np.ndarray, theirs: np.ndarray) -> float:
+    """Common over joint area of two sets of local nodes, 1 without nodes (collective).
+
+    A node has its share of the cells around it; with obstacles on a part of the boundary or on a curve, of those facets
+    whose nodes are all in the sets.
+    """
+    mesh, comm, cells = answer.level.mesh, answer.level.comm, slice(own_cells(answer.level.mesh))
+    dofs, x, joint = releases.cell_dofs(answer.level.V)[cells], corners(mesh, cells), ours | theirs
+    if answer.lower is None and answer.upper is None:
+        members = np.array(facet_corners(mesh))
+        dofs, x = dofs[:, members].reshape(-1, members.shape[1]), x[:, members].reshape(-1, members.shape[1], 3)
+        dofs, x = (one[joint[dofs].all(axis=1)] for one in (dofs, x))
+    size = np.repeat(volumes(x)[:, None], dofs.shape[1], axis=1)
+    if isinstance(answer, Answer) and answer.scene.model.radial:
+        size *= x[..., 0]
+    common, together = (total(comm, size * nodes[dofs]) for nodes in (ours & theirs, joint))
+    return common / together if together else 1.0
 
 
 def _hausdorff(a: Solution, b: Solution) -> float | None:
