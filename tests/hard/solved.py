@@ -230,6 +230,9 @@ class ReferenceProblem:
         if self.held:
             z = np.abs(self.lift(left)) + slip
             R = self._reach(left, found.unbalanced, slip, last)
+            if eps is None:  # e' A e <= r' e + p (u - g): a pressed node is at its bound up to a tolerance
+                gap, pressed = np.minimum(np.abs(found.below), np.abs(found.above)), p != 0
+                R += np.sqrt(total(self.comm, (self.D * np.abs(p))[pressed] * gap[pressed]))
         q = np.where(
             self.touchable, (2 * self.diagonal * z + np.abs(found.unbalanced)) / np.maximum(self.D, 1e-300), 0.0
         )
