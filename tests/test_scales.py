@@ -149,3 +149,21 @@ def test_degree_2_on_intervals_with_a_term_at_its_end(key, value, end):
     scene = Scene(mesh={"shape": "interval", "cells": 4}, tension=1, load=-1,
                   boundary=[{"on": "left", "value": 0}, {"on": "right", key: value}])  # fmt: skip
     assert solve(scene, element="Q2").at([1.0]) == pytest.approx(end, abs=1e-12)
+
+
+@pytest.mark.ranks
+def test_contact_on_a_curve_inside_with_a_nonlinear_form():
+    """Its penalty couples the cells on both sides of facets, also where they are on two ranks."""
+    mesh = dmesh.create_unit_square(COMM, 7, 6, ghost_mode=dmesh.GhostMode.shared_facet)
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v = fem.Function(V), ufl.TestFunction(V)
+    facets = np.sort(dmesh.locate_entities(mesh, 1, lambda x: np.isclose(x[1], 0.5))).astype(np.int32)
+    mesh.topology.create_connectivity(1, 2)
+    curve = dmesh.meshtags(mesh, 1, facets, np.full(len(facets), 3, dtype=np.int32))
+    held = fem.dirichletbc(0.05, fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0], 0)), V)
+    F = (1 + u**2) * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - 3 * v * ufl.dx
+    problem = ObstacleProblem(
+        F, u, bcs=[held], upper=0.2, measure=ufl.Measure("dS", domain=mesh, subdomain_data=curve)(3)
+    )
+    found = [problem.solve(method=method).force.upper for method in ("penalty", "vi")]
+    assert found[0] == pytest.approx(found[1], rel=0.01) and found[1] > 1

@@ -253,7 +253,14 @@ class Forms:
 
     def create_matrix(self) -> PETSc.Mat:
         """The matrix that `jacobian` fills."""
-        return fem.petsc.create_matrix(self._stiffness)
+        one = fem.Constant(self.data.level.mesh, PETSc.ScalarType(1.0)) * self.rule.on(self.measure)
+        if not any(integral.integral_type() == "interior_facet" for integral in one.integrals()):
+            return fem.petsc.create_matrix(self._stiffness)
+        # the penalty couples cells on both sides of a facet: entries that the first assembly does not fill are lost
+        A = fem.petsc.create_matrix(self._form("jacobian"))
+        fem.petsc.assemble_matrix(A, self._form("jacobian"))
+        A.assemble()
+        return A
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         """Fill A with the derivative of the residual; rows and columns of fixed dofs are those of the identity."""
@@ -335,7 +342,7 @@ class Nodal(Affine, Forms):
 
     def _assembled(self) -> PETSc.Mat:
         """The stiffness."""
-        return self._filled(Forms.create_matrix(self))
+        return self._filled(fem.petsc.create_matrix(self._stiffness))
 
     def _assemble_again(self) -> None:
         """Fill the stiffness with its present values."""
