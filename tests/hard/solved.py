@@ -223,7 +223,8 @@ class ReferenceProblem:
         energy = problem.energy(state, penalised=eps is not None) if problem.has_energy else None
         state.destroy()
         left = np.abs(found.unbalanced) + found.noise
-        last = ROUNDED * (np.abs(w) + np.abs(r)) * self.free  # the values of u themselves are rounded
+        # the values of u themselves are rounded, and w where it was counted from the other obstacle
+        last = ROUNDED * (np.abs(w) + np.abs(r) + self._between()) * self.free
         # what SNES VI takes to be at its bound may be this far off
         slip = last if eps is not None else last + AT_BOUND * found.range
         z, R = np.full(len(w), np.inf), np.inf
@@ -237,6 +238,14 @@ class ReferenceProblem:
             self.touchable, (2 * self.diagonal * z + np.abs(found.unbalanced)) / np.maximum(self.D, 1e-300), 0.0
         )
         return Solved(**vars(found), ground=self, w=w, r=r, energy=energy, z=z, q=q, R=R)
+
+    def _between(self) -> np.ndarray | float:
+        """The distance between the obstacles, 0 where one of them is none."""
+        below, above = self.problem.below, self.problem.above
+        if below is None or above is None:
+            return 0.0
+        apart = above - below
+        return np.where(np.isfinite(apart), np.abs(apart), 0.0)
 
     def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
         """R of a residual, of which `left` is the size with its round-off."""
