@@ -65,11 +65,14 @@ class NotConverged(ObstacleError):
 
     def changed(self, **values: Any) -> NotConverged:
         """The same error with another `solver`, `reason` or `eps`."""
-        return NotConverged(**{**vars(self), **values})
+        return NotConverged(**{**self._given(), **values})
 
     def __reduce__(self):
         # exceptions travel between ranks by pickle, which knows nothing of keyword arguments
-        return partial(NotConverged, **vars(self)), ()
+        return partial(NotConverged, **self._given()), ()
+
+    def _given(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("solver", "reason", "iterations", "eps", "h")}
 
 
 def interrupted(number: int, arguments: Sequence[str]) -> str:

@@ -332,13 +332,16 @@ def _stay(comm: MPI.Comm, parts: int, graph: Any, ghosting: bool) -> Any:
     return _cpp.graph.AdjacencyList_int32(rows[:, 2].astype(np.int32), starts.astype(np.int32))
 
 
-def cells_near(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.ndarray, np.ndarray]:
+def cells_near(
+    mesh: dmesh.Mesh, points: np.ndarray, padding: float, *, within: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Owned cells whose padded bounding boxes hold points (local).
 
     Args:
         mesh: Mesh.
         points: Shape (n, 3).
         padding: Length by which the boxes are widened.
+        within: Keep only cells that hold the points themselves.
 
     Returns:
         Pairs: rows of `points`, and cells.
@@ -352,6 +355,8 @@ def cells_near(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np
     else:
         tree = geometry.bb_tree(mesh, dim, entities=own, padding=padding)
         found = geometry.compute_collisions_points(tree, points)
+    if within:
+        found = geometry.compute_colliding_cells(mesh, found, points)
     return np.repeat(np.arange(len(points)), np.diff(found.offsets)), np.asarray(found.array)
 
 

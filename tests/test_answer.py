@@ -149,6 +149,15 @@ def test_the_common_contact_of_disks_and_of_parts_of_an_edge():
     assert compare(*edges)["contact"]["jaccard"] == pytest.approx(ratio, abs=0.03)
 
 
+def test_contact_at_single_points_has_nothing_in_common():
+    """Two different points of an edge, and a point on the axis beside no contact."""
+    edges = [solve(membrane(load=0, boundary=[{"on": "top", "value": 0}, {"on": "bottom", "lower": lower}]))
+             for lower in ("0.1 - 5*abs(x - 0.25)", "0.1 - 5*abs(x - 0.75)")]  # fmt: skip
+    assert all(one.contact.x.array.max(initial=0) <= 1 for one in edges)
+    assert compare(*edges)["contact"]["jaccard"] == 0
+    assert compare(edges[0], edges[0])["contact"]["jaccard"] == 1
+
+
 def test_compare_on_two_meshes():
     """A coarse answer against a finer one: about the coarse error, in both orders of the arguments."""
     scene = Scene.read(DEMOS / "ball.toml")

@@ -218,6 +218,18 @@ def test_a_point_load_beside_its_node_by_round_off(cells, at):
     assert 4 * (apart / 2) ** 0.5 * (1 - 1e-9) <= solution.bound.total < 1e-7
 
 
+@pytest.mark.parametrize("left", [1e6, 1e-6])
+def test_a_point_load_near_a_vertex_of_cells_of_different_size(left):
+    """Only the cell that has the point pays for moving it to the vertex: F (d/tension there)^(1/2)."""
+    mesh = dmesh.create_interval(COMM, 2, [0.0, 2.0])
+    mesh.geometry.x[:, 0] = np.where(mesh.geometry.x[:, 0] > 1.5, 1.1, mesh.geometry.x[:, 0])
+    apart = 5e-10
+    scene = Scene(mesh=mesh, tension=f"where(x < 1, {left}, 1)", point_load=[{"at": 1 + apart, "force": 1}],
+                  boundary=[{"value": 0}])  # fmt: skip
+    bound = solve(scene, bound=True, comm=COMM).bound
+    assert apart**0.5 * (1 - 1e-6) <= bound.total < 2 * apart**0.5
+
+
 def test_flux_with_axial_symmetry():
     """On a mesh with moved vertices the flux r tau is continuous, 0 on the axis, and balances load and contact."""
     context = SolverContext(ball(6).change({"mesh.perturb": 0.2}), COMM)

@@ -134,6 +134,12 @@ def test_what_three_meshes_have_at_the_same_wrong_place(name, element):
     assert words in found["reason"] and found["report"]["vol"]["verdict"] == "not settled"
 
 
+@pytest.mark.parametrize("load", ["-10*(sin(x)^2 + cos(x)^2)", "-10*(x + 1)/(x + 1)"])
+def test_constants_up_to_round_off_are_not_steep(load):
+    found = solve(membrane(load=load, lower=-0.1), uncertainty=True).record["uncertainty"]
+    assert "reason" not in found and found["energy"]["verdict"] == "settled"
+
+
 def test_meshes_that_are_coarser_along_one_side_only():
     """Of a strip that is one cell wide no coarser mesh tells anything."""
     scene = membrane(mesh={"shape": "rectangle", "cells": 16, "y": [0, 0.04]}, load=1, report={"vol": "integral(u)"})

@@ -170,7 +170,7 @@ def large_penetration(problem: System) -> str | None:
     where = "the range of u between the obstacles"
     if penetration > PENETRATION * height:
         share = "more than" if penetration > height else f"{penetration / height:.1%} of"
-    elif (in_parts := share_in_parts(problem)) > PENETRATION:
+    elif problem.affine and (in_parts := share_in_parts(problem)) > PENETRATION:  # A of others is to be assembled
         share, where = f"{in_parts:.1%} of", "the range of u in a part of the domain that given values separate"
     else:
         return None

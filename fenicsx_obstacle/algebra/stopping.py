@@ -138,7 +138,7 @@ class Stopping:
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._correction_is_small(elastic)
+        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._correction_is_done(elastic)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
@@ -180,9 +180,9 @@ class Stopping:
         active[~problem.touchable] = 0
         return active, residual
 
-    def _correction_is_small(self, elastic: np.ndarray) -> bool:
-        """Whether the correction of u by one step of Jacobi, the sum of |r_i|/A_ii, is small beside its range
-        (collective).
+    def _correction_is_done(self, elastic: np.ndarray) -> bool:
+        """Whether the correction of u by one step of Jacobi, the sum of |r_i|/A_ii, is small beside its range, or no
+        step makes it smaller (collective).
 
         Forces of one part, such as those of a stiff layer or spring, may exceed those of all others by so much that
         the balance of their sum says nothing of these. Where F is not linear the A_ii are those of the last step, or of

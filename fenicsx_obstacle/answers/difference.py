@@ -15,7 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import rule
-from fenicsx_obstacle.mesh.cells import corners, facet_corners, own_cells, volumes
+from fenicsx_obstacle.mesh.cells import corners, facet_corners, own_cells, sides, volumes
 from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import largest, on_root, total
@@ -112,21 +112,24 @@ def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
 
 
 def _jaccard(answer: Solution, ours: np.ndarray, theirs: np.ndarray) -> float:
-    """Common over joint area of two sets of local nodes, 1 without nodes (collective).
+    """Common over joint area of two sets of local nodes, 1 where both are empty (collective).
 
-    A node has its share of the cells around it; with obstacles on a part of the boundary or on a curve, of those facets
-    whose nodes are all in the sets.
+    A node has its share of the cells around it; with obstacles on a part of the boundary, of the facets around it; on a
+    curve inside all nodes count alike.
     """
-    mesh, comm, cells = answer.level.mesh, answer.level.comm, slice(own_cells(answer.level.mesh))
-    dofs, x, joint = releases.cell_dofs(answer.level.V)[cells], corners(mesh, cells), ours | theirs
+    mesh, comm, own = answer.level.mesh, answer.level.comm, answer.level.owned
+    cells, joint = slice(own_cells(mesh)), ours | theirs
+    dofs, x = releases.cell_dofs(answer.level.V)[cells], corners(mesh, cells)
     if answer.lower is None and answer.upper is None:
-        members = np.array(facet_corners(mesh))
-        dofs, x = dofs[:, members].reshape(-1, members.shape[1]), x[:, members].reshape(-1, members.shape[1], 3)
-        dofs, x = (one[joint[dofs].all(axis=1)] for one in (dofs, x))
+        beside, numbers, _ = sides(mesh, answer.level.boundary_facets)
+        members = np.array(facet_corners(mesh))[numbers]
+        dofs, x = dofs[beside[:, None], members], x[beside[:, None], members]
     size = np.repeat(volumes(x)[:, None], dofs.shape[1], axis=1)
-    if isinstance(answer, Answer) and answer.scene.model.radial:
-        size *= x[..., 0]
+    if isinstance(answer, Answer) and answer.scene.model.radial:  # of int phi_i r, up to a factor
+        size *= x[..., 0].sum(axis=1, keepdims=True) + x[..., 0]
     common, together = (total(comm, size * nodes[dofs]) for nodes in (ours & theirs, joint))
+    if together == 0:
+        common, together = (total(comm, np.count_nonzero(nodes[:own])) for nodes in (ours & theirs, joint))
     return common / together if together else 1.0
 
 

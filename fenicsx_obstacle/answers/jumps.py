@@ -24,6 +24,7 @@ IN_TIME = "jumps in time, perhaps within a step"
 HALVINGS = 30  # of lengths: a Lipschitz function differs by 1e-9 of what it did, a root by 3e-5
 JUMP = 1e-3  # of the range of the datum, from which on a difference that is left is a jump
 LAYER, WITHIN = 0.25, 5  # of the range of the datum, after so many halvings: a line has 1/32, a root 0.18
+ROUND_OFF = 1e-12  # of the values of a datum
 INSIDE = 1e-6  # of the way from a vertex to the midpoint: a jump on facets is none inside cells
 
 
@@ -78,14 +79,18 @@ def _jumping(data: Data, field: Field, cells: np.ndarray) -> Iterator[tuple[np.n
     x = corners(level.mesh, cells)
     simplices = _simplices(x + INSIDE * (x.mean(axis=1, keepdims=True) - x), dim)
     which, x = np.repeat(cells, simplices.shape[1]), simplices.reshape(-1, dim + 1, 3)
-    values = here.at(x.reshape(-1, 3).T, names, np.repeat(which, dim + 1))
-    values = values[np.isfinite(values)]
-    range_of_values = largest(level.comm, values) - smallest(level.comm, values)
+
+    def samples(x: np.ndarray, which: np.ndarray) -> np.ndarray:
+        points = np.concatenate([x, x.mean(axis=1, keepdims=True)], axis=1)
+        return here.at(points.reshape(-1, 3).T, names, np.repeat(which, dim + 2)).reshape(-1, dim + 2)
 
     def sampled(x: np.ndarray, which: np.ndarray) -> np.ndarray:
-        points = np.concatenate([x, x.mean(axis=1, keepdims=True)], axis=1)
-        there = here.at(points.reshape(-1, 3).T, names, np.repeat(which, dim + 2)).reshape(-1, dim + 2)
-        return np.ptp(there, axis=1)
+        return np.ptp(samples(x, which), axis=1)
+
+    values = samples(x, which)
+    values = values[np.isfinite(values)]
+    range_of_values = largest(level.comm, values) - smallest(level.comm, values)
+    varies = range_of_values > ROUND_OFF * largest(level.comm, np.abs(values))
 
     def known(x: np.ndarray, which: np.ndarray) -> np.ndarray:
         """By how much it differs, where it has no condition that holds in a part of a simplex: 0."""
@@ -97,7 +102,8 @@ def _jumping(data: Data, field: Field, cells: np.ndarray) -> Iterator[tuple[np.n
 
     if not field.continuous:
         yield _changing(x, which, known, HALVINGS * dim, JUMP * range_of_values), JUMPS
-    yield _changing(x, which, sampled, WITHIN * dim, LAYER * range_of_values), STEEP
+    if varies:
+        yield _changing(x, which, sampled, WITHIN * dim, LAYER * range_of_values), STEEP
 
 
 def _changing(

@@ -210,7 +210,9 @@ class OfFunction(Field):
             return np.ravel(self.function.eval(x.T, cells)) if len(cells) else np.empty(0)
         extent = float(np.ptp(self._mesh.geometry.x, axis=0).max(initial=0.0))
         rows, cells, _, gap, size = nearby(self._mesh, x.T, ROUND_OFF * extent)
-        rows, cells = rows[gap <= ROUND_OFF * size], cells[gap <= ROUND_OFF * size]
+        nearest = np.lexsort((gap, rows))
+        nearest = nearest[(gap <= ROUND_OFF * size)[nearest]]
+        rows, cells = rows[nearest], cells[nearest]
         found = np.full(x.shape[1], np.nan)
         first = np.unique(rows, return_index=True)[1]
         if len(first):

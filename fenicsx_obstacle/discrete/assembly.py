@@ -260,6 +260,7 @@ class Forms:
         A = fem.petsc.create_matrix(self._form("jacobian"))
         fem.petsc.assemble_matrix(A, self._form("jacobian"))
         A.assemble()
+        self.jacobian(A, penalised=False)
         return A
 
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:

@@ -63,10 +63,19 @@ class PointForces:
         x, length = simplices.x[cells, :, 0], simplices.area[cells]
         t = np.clip((points[rows, 0] - x[:, 0]) / (x[:, 1] - x[:, 0]), 0.0, 1.0)
         away = np.abs(x - points[rows, :1]).min(axis=1)
-        near = away <= AT_VERTEX * length
+        outside = np.maximum(x.min(axis=1) - points[rows, 0], points[rows, 0] - x.max(axis=1)).clip(0.0)
+
+        def largest_of_each_point(values: np.ndarray) -> np.ndarray:
+            most = np.full(len(points), -np.inf)
+            np.maximum.at(most, rows, values)
+            level.comm.Allreduce(MPI.IN_PLACE, most, MPI.MAX)
+            return most[rows]
+
+        near = largest_of_each_point((away <= AT_VERTEX * length).astype(float)) > 0
         self.at_vertices = cells[near], np.where(t[near] < 0.5, 1, 0), force[near]
-        # two cells may be found, of which only one has the point: its share is the whole force
-        np.add.at(self.moved, cells, np.where(near, np.abs(whole) * np.sqrt(away), 0.0))
+        # of the cells that are found only one may have the point: the whole force is moved in it
+        moves = near & (-outside == largest_of_each_point(-outside))
+        np.add.at(self.moved, cells, np.where(moves, np.abs(whole) * np.sqrt(away), 0.0))
         force = np.where(near, 0.0, force)
         np.add.at(self.moments, cells, np.stack([force * (1 - t), force * t], axis=1))
         np.add.at(self.norm, cells, np.abs(force) * np.sqrt(length * (t**3 + (1 - t) ** 3) / 3))

@@ -52,9 +52,11 @@ def nearby(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.nda
 
     Returns:
         Of each pair the row of `points`; the cell; weights of its vertices, shape (pairs, vertices); distance of the
-        point from there; and size of the cell.
+        point from there; and size of the cell. In curved cells the weights are those of the straight one, and the
+        search is that of DOLFINx, whose tolerance is a length: the distance is 0.
     """
-    rows, cells = releases.cells_near(mesh, points, padding)
+    curved = releases.geometry_degree(mesh) > 1 and mesh.topology.dim == mesh.geometry.dim
+    rows, cells = releases.cells_near(mesh, points, 0.0 if curved else padding, within=curved)
     distinct, back = np.unique(cells, return_inverse=True)  # of many points many lie in one cell
     vertices = corners(mesh, distinct)
     edges = vertices[:, 1:] - vertices[:, :1]
@@ -64,10 +66,10 @@ def nearby(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.nda
         inner = np.einsum("pdi,pi->pd", duals(vertices)[back], there)
         weights = np.maximum(np.column_stack([1 - inner.sum(axis=1), inner]), 0.0)
         weights /= weights.sum(axis=1, keepdims=True)
-    else:  # the search of DOLFINx has a tolerance that is a length
-        weights = Reference(mesh).nearest(cells, points[rows])
+    else:
+        weights = Reference(mesh).pulled_back(cells, points[rows])
     gap = np.linalg.norm(np.einsum("pd,pdi->pi", weights[:, 1:], edges[back]) - there, axis=1)
-    return rows, cells, weights, gap, size
+    return rows, cells, weights, np.zeros(len(rows)) if curved else gap, size
 
 
 def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], place: str) -> np.ndarray:

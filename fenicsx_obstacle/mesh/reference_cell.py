@@ -123,17 +123,17 @@ class Reference:
         found = np.einsum("cpid,cd->cpi", self.duals(cells, where), outward)
         return found / np.linalg.norm(found, axis=2, keepdims=True)
 
-    def nearest(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """The same of the places (in the reference cell) in the cells that are nearest to such points."""
-        return self.weights(np.clip(self.pulled_back(cells, points) @ self.vertices, 0.0, 1.0))
-
     def pulled_back(self, cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Weights of the vertices at one point (n, 3) in each of some cells, shape (n, vertices) (Newton's method)."""
+        """Weights of the vertices at one point (n, 3) in each of some cells, shape (n, vertices) (Newton's method).
+
+        Of points outside of a cell those of a place near them in it.
+        """
         x = np.broadcast_to(self.vertices.mean(axis=0), (len(cells), self.dim)).copy()
         for _ in range(NEWTON_STEPS):
             where = self.weights(x)
             away = points - np.einsum("cv,cvi->ci", where, self._corners[cells])
-            x += np.einsum("cid,ci->cd", self.duals(cells, where[:, None])[:, 0], away)
+            back = np.linalg.pinv(self.jacobians(cells, where[:, None])[:, 0])  # far outside it may be singular
+            x = np.clip(x + np.einsum("cdi,ci->cd", back, away), -1.0, 2.0)
         return self.weights(np.clip(x, 0.0, 1.0))
 
     @cached_property
