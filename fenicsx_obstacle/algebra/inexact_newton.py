@@ -48,7 +48,7 @@ class Inexact:
             return CONTINUE
         residual = ksp.buildResidual()
         done = residual.norm(PETSc.NormType.N1) <= self._target
-        if done and self._last:  # in the scale of `Stopping._correction_is_small` too
+        if done and self._last:  # in the scale of `Stopping._correction_is_done` too
             diagonal = ksp.getOperators()[0].getDiagonal()
             residual.pointwiseDivide(residual, diagonal)
             step = ksp.buildSolution()  # the range of the state may still be 0

@@ -15,6 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import rule
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import corners, facet_corners, own_cells, sides, volumes
 from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.mesh.reference_cell import Reference
@@ -114,22 +115,27 @@ def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
 def _jaccard(answer: Solution, ours: np.ndarray, theirs: np.ndarray) -> float:
     """Common over joint area of two sets of local nodes, 1 where both are empty (collective).
 
-    A node has its share of the cells around it; with obstacles on a part of the boundary, of the facets around it; on a
-    curve inside all nodes count alike.
+    A node has its share of the cells around it; with obstacles on a part of the boundary, of the facets around it, if
+    there are any of those whose nodes are all in the sets; on a curve inside all nodes count alike.
     """
     mesh, comm, own = answer.level.mesh, answer.level.comm, answer.level.owned
-    cells, joint = slice(own_cells(mesh)), ours | theirs
+    cells, joint, on_part = slice(own_cells(mesh)), ours | theirs, answer.lower is None and answer.upper is None
     dofs, x = releases.cell_dofs(answer.level.V)[cells], corners(mesh, cells)
-    if answer.lower is None and answer.upper is None:
+    if on_part:
         beside, numbers, _ = sides(mesh, answer.level.boundary_facets)
         members = np.array(facet_corners(mesh))[numbers]
         dofs, x = dofs[beside[:, None], members], x[beside[:, None], members]
     size = np.repeat(volumes(x)[:, None], dofs.shape[1], axis=1)
     if isinstance(answer, Answer) and answer.scene.model.radial:  # of int phi_i r, up to a factor
         size *= x[..., 0].sum(axis=1, keepdims=True) + x[..., 0]
-    common, together = (total(comm, size * nodes[dofs]) for nodes in (ours & theirs, joint))
-    if together == 0:
-        common, together = (total(comm, np.count_nonzero(nodes[:own])) for nodes in (ours & theirs, joint))
+    around = AroundNodes(answer.level.V, dofs)
+    weights = around.sums(size)
+    if on_part:
+        within = around.sums(np.where(joint[dofs].all(axis=1, keepdims=True), size, 0.0))
+        weights = np.where(within > 0, within, weights)
+    if total(comm, np.count_nonzero(weights[joint] > 0)) == 0:
+        weights = np.ones(len(joint))
+    common, together = (total(comm, weights[:own][nodes[:own]]) for nodes in (ours & theirs, joint))
     return common / together if together else 1.0
 
 
