@@ -162,7 +162,7 @@ class Stopping:
 
     def begin_again(self) -> None:
         """Go on with another SNES, which counts its iterations from 0."""
-        self._krylov = 0
+        self._krylov, self._vain, self._correction = 0, 0, np.inf
 
     def _unbalanced(self, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The obstacle in contact with each node (-1 lower, 1 upper, 0 none), and the unbalanced forces."""
