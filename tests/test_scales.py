@@ -167,3 +167,27 @@ def test_contact_on_a_curve_inside_with_a_nonlinear_form():
     )
     found = [problem.solve(method=method).force.upper for method in ("penalty", "vi")]
     assert found[0] == pytest.approx(found[1], rel=0.01) and found[1] > 1
+
+
+@pytest.mark.parametrize(("ratio", "method"), [(1e8, "vi"), (1e10, "vi"), (1e10, "penalty"), (1e12, "penalty")])
+def test_a_part_that_given_values_separate_is_solved_beside_much_larger_loads(ratio, method):
+    """Two strings of length 1/2 with a common end; the load of one is `ratio` times that of the other, which has an
+    obstacle, and changes between solves: force q (1/2 - 2 (2 g/q)^(1/2)) for an obstacle at -g."""
+    mesh = dmesh.create_unit_interval(COMM, 400)
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    nodes = V.tabulate_dof_coordinates()[:, 0]
+    held = np.flatnonzero(np.min(np.abs(nodes - np.array([[0], [0.5], [1]])), axis=0) < 1e-12).astype(np.int32)
+    lower, load = fem.Function(V), fem.Constant(mesh, 8.0)
+    lower.x.array[:] = np.where(nodes < 0.5 + 1e-12, -np.inf, -0.15)
+    left = fem.Function(releases.functionspace(mesh, "DG", 0))
+    left.interpolate(lambda x: np.where(x[0] < 0.5, 1.0, 0.0))
+    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - ratio * left * v * ufl.dx + load * (1 - left) * v * ufl.dx
+    problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(fem.Function(V), held)], lower=lower)
+    for q in (8.0, 16.0, 32.0, 1.0):
+        load.value = q
+        found = problem.solve(method=method)
+        force = q * (0.5 - 2 * (0.3 / q) ** 0.5) if q > 5 else 0.0
+        assert found.force.lower == pytest.approx(force, rel=2e-3, abs=1e-12), q
+        sag = min(q / 32, 0.15)
+        assert found.at([0.75]) == pytest.approx(-sag, rel=1e-3)

@@ -70,5 +70,7 @@ class Inexact:
             self._last = False
             return 2, ON_THE_WAY * min(step.unbalanced, forces)
         self._last = stopping.row_by_row and not stopping.exact  # which solves to the end
+        if stopping.uneven:  # a correction has fewer digits to lose than u
+            return 1, EXACT * step.unbalanced
         enough = 0.0 if stopping.exact else TO_SPARE * stopping.tolerance * step.forces
         return 1, max(enough, EXACT * step.unbalanced, stopping.round_off())

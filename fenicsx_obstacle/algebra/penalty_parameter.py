@@ -18,7 +18,7 @@ import numpy as np
 from fenicsx_obstacle.algebra.data_scales import negligible_force
 from fenicsx_obstacle.algebra.newton import diagonal_of, joined, smallest_eps, solve_penalty
 from fenicsx_obstacle.algebra.options import SolverOptions
-from fenicsx_obstacle.algebra.separate_parts import ranges_in_parts
+from fenicsx_obstacle.algebra.separate_parts import SeparateParts
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE
 from fenicsx_obstacle.algebra.system import System
@@ -186,7 +186,8 @@ def share_in_parts(problem: System) -> float:
     if not problem.nodal or smallest(problem.comm, _compliance_in_contact(problem)) >= problem.eps:
         return 0.0
     u = np.clip(problem.u, *problem.obstacles())
-    heights, penetrations = ranges_in_parts(problem, u, _excess(problem))
+    parts = SeparateParts(problem, u)
+    heights, penetrations = parts.ranges, parts.largest(_excess(problem))
     scaled = FLAT * penetrations < heights
     return float(np.max(penetrations[scaled] / heights[scaled], initial=0.0))
 

@@ -24,6 +24,7 @@ from fenicsx_obstacle.algebra.data_scales import (
     negligible_force,
     stiffness_of,
 )
+from fenicsx_obstacle.algebra.separate_parts import SeparateParts
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import largest, total
 
@@ -33,6 +34,8 @@ TOLERANCE = 1e-10  # unbalanced force / acting forces
 ON_THE_WAY = 1e-2
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
 SMALL_CORRECTION = 1e-6  # of the range of u: the sum of |r_i|/A_ii
+OF_A_PART = 1e-9  # the same of a part whose contact may change still, when the sum of all forces is in balance
+UNEVEN = 1e-8  # of |w_i|: where |r_i|/A_ii is larger, the forces of some part may be small beside those of others
 SMALLER, IN_VAIN = 0.5, 3  # a correction is not smaller than half of the least before, in so many steps
 NEARLY_CONSTANT = 1e-2  # of |u|: below it the range of u is no scale
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
@@ -83,6 +86,7 @@ class Stopping:
         monitor: Called after each step.
         roundoff_limited: Balance was only reached up to the round-off of w.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
+        uneven: The same, as the forces of some part are small beside others.
         before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first
             state that of an earlier attempt, or None.
         history: One `Step` per evaluation.
@@ -99,6 +103,7 @@ class Stopping:
     monitor: StepMonitor | None = None
     roundoff_limited: bool = False
     exact: bool = False
+    uneven: bool = False
     before: np.ndarray | None = None
     history: list[Step] = field(default_factory=list)
     _correction: float = np.inf
@@ -195,9 +200,14 @@ class Stopping:
         moved[stiffness <= 0] = 0.0
         np.abs(np.divide(moved, stiffness, out=moved, where=stiffness > 0), out=moved)
         left = total(problem.comm, moved)
-        del stiffness, moved
+        del stiffness
+        uneven = np.any(moved > UNEVEN * np.abs(problem.w))
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        if left <= small_correction(problem) + rounded:
+        done = left <= small_correction(problem) + rounded
+        if done and total(problem.comm, uneven) > 0:
+            self.uneven = not small_in_parts(problem, moved)
+            done = not self.uneven
+        if done:
             return True
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
@@ -254,6 +264,23 @@ def small_correction(problem: System) -> float:
     sizes = (largest(comm, np.abs(values)) for values in (problem.w, problem.u))
     moved, size = (max(value, 0.0) for value in sizes)
     return SMALL_CORRECTION * max(problem.range_of_u() + moved, NEARLY_CONSTANT * size)
+
+
+def small_in_parts(problem: System, moved: np.ndarray) -> bool:
+    """Whether the correction is small in each part that given values separate (collective).
+
+    In a part without data u is 0 at last: there it is measured beside the largest |u| of all.
+
+    Args:
+        problem: In the state at which its matrix A was assembled last.
+        moved: |r_i|/A_ii at owned dofs.
+    """
+    u_values = problem.u
+    parts, size = SeparateParts(problem, u_values), np.abs(u_values)
+    heights = parts.ranges + parts.largest(np.abs(problem.w))
+    allowed = OF_A_PART * np.maximum(heights, NEARLY_CONSTANT * parts.largest(size))
+    rounded = ROUNDOFF_MARGIN * EPSILON * parts.sums(size) + EPSILON**2 * largest(problem.comm, size)
+    return bool(np.all(parts.sums(moved) <= allowed + rounded))
 
 
 def in_words(reason: int) -> str:
