@@ -35,7 +35,7 @@ ON_THE_WAY = 1e-2
 ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r is updated (`System.update_reference`)
 SMALL_CORRECTION = 1e-6  # of the range of u: the sum of |r_i|/A_ii
 OF_A_PART = 1e-9  # the same of a part whose contact may change still, when the sum of all forces is in balance
-UNEVEN = 1e-8  # of |w_i|: where |r_i|/A_ii is larger, the forces of some part may be small beside those of others
+UNEVEN = 1e-6  # of |w|: where |r_i|/A_ii is larger, the forces of some part may be small beside those of others
 SMALLER, IN_VAIN = 0.5, 3  # a correction is not smaller than half of the least before, in so many steps
 NEARLY_CONSTANT = 1e-2  # of |u|: below it the range of u is no scale
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
@@ -200,18 +200,34 @@ class Stopping:
         moved[stiffness <= 0] = 0.0
         np.abs(np.divide(moved, stiffness, out=moved, where=stiffness > 0), out=moved)
         left = total(problem.comm, moved)
-        del stiffness
-        uneven = np.any(moved > UNEVEN * np.abs(problem.w))
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        done = left <= small_correction(problem) + rounded
-        if done and total(problem.comm, uneven) > 0:
-            self.uneven = not small_in_parts(problem, moved)
-            done = not self.uneven
-        if done:
-            return True
+        if left <= small_correction(problem) + rounded:
+            self.uneven = self._is_uneven(moved, stiffness) and not small_in_parts(problem, moved)
+            return not self.uneven
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
         return not problem.affine and self._vain >= IN_VAIN
+
+    def _is_uneven(self, moved: np.ndarray, stiffness: np.ndarray) -> bool:
+        """Whether some |r_i|/A_ii is more than `UNEVEN` of w there and around (collective).
+
+        It overwrites the stiffness.
+        """
+        x = self.problem.vector()
+        y = x.duplicate()
+        x.array[:] = np.abs(x.array_r)
+        self.problem.A.mult(x, y)
+        own, around = x.array, y.array  # in place: they are large
+        own *= stiffness
+        around -= own  # the diagonal
+        np.abs(around, out=around)
+        around += own
+        around *= UNEVEN
+        stiffness *= moved
+        uneven = np.any(stiffness > around)
+        for vector in (x, y):
+            vector.destroy()
+        return total(self.problem.comm, uneven) > 0
 
     @property
     def row_by_row(self) -> bool:

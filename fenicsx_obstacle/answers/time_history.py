@@ -19,7 +19,6 @@ from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.data.time_discretization import NO_STEP, TimeDiscretization
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import BY_CELL, FRAMES, Array, to_hdf5, xdmf
 from fenicsx_obstacle.text import csv_of, nearest, one_line
 
@@ -108,6 +107,8 @@ class TimeHistory:
         Raises:
             InputError: If it is not there, or damaged.
         """
+        from fenicsx_obstacle.hdf5 import arrays  # with h5py
+
         frames: list[Frame] = []
         try:
             rows = from_csv((folder / "history.csv").read_text(encoding="utf-8"))
