@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -14,12 +14,10 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.profiles import check_profiles
-from fenicsx_obstacle.answers.time_history import Course, Frame, TimeHistory, at_time
 from fenicsx_obstacle.data.time_discretization import TimeDiscretization
 from fenicsx_obstacle.effects.boundary.obstacle import HERTZ
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.vector import VectorFields
-from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.mesh.levels import Level, with_parts
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.scenes import meshes
@@ -27,6 +25,9 @@ from fenicsx_obstacle.scenes.bodies import Body, Facing, part_of
 from fenicsx_obstacle.scenes.functionals import Report
 from fenicsx_obstacle.scenes.report import BODY_QUANTITIES
 from fenicsx_obstacle.scenes.scene import Scene
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.time_history import TimeHistory
 
 SAME_FORCE = 1e-6  # relative: of moments whose contact forces differ less, the last one is shown
 MIN_NODES_ACROSS = 3  # in contact: with fewer the pressure has no shape, and the width is that of the cells
@@ -131,6 +132,10 @@ class BodyContext:
             InputError: If data are wrong at some time, with it.
             NotConverged: The same.
         """
+        # only where a scene has time
+        from fenicsx_obstacle.answers.time_history import Course, Frame, at_time
+        from fenicsx_obstacle.io.folder import frame_of
+
         course = Course(moments)
         t: float | None = 0.0
         most, largest, loaded = 0.0, 0.0, None
