@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
+from fenicsx_obstacle.arguments import CHANGES, Place, along_text, interval, named, options, typed, varied
 from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import WRONG, InputError
 
@@ -149,9 +149,10 @@ def study(
         raise InputError("--vary: the same key twice; give all its values in one list")
     scene = _read(scene_file, {**fixed, **{key: some[0] for key, some in values.items()}})
     from fenicsx_obstacle.show.study import report_study
+    from fenicsx_obstacle.studies.convergence import Study
 
     folder = output or Path("out") / scene.name / "-".join(values)
-    run = partial(report_study, scene, values, fixed, folder, uncertainty=uncertainty, fresh=fresh, latex=latex)
+    run = partial(report_study, Study(scene, values, fixed, uncertainty=uncertainty), folder, fresh=fresh, latex=latex)
     rows_of(run, scene.name, folder, json_file, latex, quiet=quiet)
 
 
@@ -184,12 +185,12 @@ def find(
     """
     (key, ends), fixed = interval(vary), typed(given)
     scene = _read(scene_file, {**fixed, key: ends[0]})
-    from fenicsx_obstacle.show.study import report_find
+    from fenicsx_obstacle.show.study import report_study
     from fenicsx_obstacle.studies.find import WITHIN, Find
 
     folder = output or Path("out") / scene.name / f"find-{key}"
     search = Find(scene, {key: ends}, target, fixed, within=WITHIN if within is None else within)
-    rows_of(partial(report_find, search, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
+    rows_of(partial(report_study, search, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()
@@ -214,9 +215,11 @@ def cost(
     fixed = typed(given)
     scene = _read(scene_file, fixed)
     from fenicsx_obstacle.show.cost import report_cost
+    from fenicsx_obstacle.studies.cost import CostStudy
 
     folder = output or Path("out") / scene.name / "cost"
-    rows_of(partial(report_cost, scene, fixed, budget, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
+    study = CostStudy(scene, fixed, budget, folder)
+    rows_of(partial(report_cost, study, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()
@@ -255,10 +258,10 @@ def plot(result: Path, output: Path | None, along: str | None, compare: tuple[st
     from fenicsx_obstacle.answers.answer import Answer
 
     if along is not None:
-        from fenicsx_obstacle.answers.profiles import along_text, compare_text
         from fenicsx_obstacle.show.profiles import draw_line
 
-        ends, formulas = along_text(along), dict(compare_text(one) for one in compare)
+        ends = along_text(along)
+        formulas = dict(named(one, "--compare", "a quantity and a formula, such as 'p = 1 - x^2'") for one in compare)
         tell(draw_line(Answer.read(result), *ends, output or result / "along.png", formulas))
         return
     from fenicsx_obstacle.answers.difference import read

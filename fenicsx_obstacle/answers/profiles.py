@@ -176,31 +176,6 @@ def _chained(segments: np.ndarray, place: str) -> np.ndarray:
     return np.asarray(x[first[curve]])
 
 
-def compare_text(text: str) -> tuple[str, str]:
-    """A quantity and its formula of comparison as the command `plot` takes them: "p = 1 - x^2".
-
-    Raises:
-        InputError: If the text is of another form.
-    """
-    name, sign, formula = (part.strip() for part in text.partition("="))
-    if not (name and sign and formula):
-        raise InputError(f"--compare {text}: expected a quantity and a formula, such as 'p = 1 - x^2'")
-    return name, formula
-
-
-def along_text(text: str) -> tuple[list[float], list[float]]:
-    """The ends of a line as the command `plot` takes them: "x0,y0:x1,y1".
-
-    Raises:
-        InputError: If the text is of another form.
-    """
-    try:
-        start, end = ([float(word) for word in part.split(",")] for part in text.split(":"))
-    except ValueError:
-        raise InputError(f"--along {text}: expected two points, such as 0,0.5:1,0.5") from None
-    return start, end
-
-
 def as_columns(profile: Profile) -> dict[str, list[float]]:
     """Its columns by their names: the coordinates, s, the quantities that are known, and formulas of comparison."""
     axes = "xyz"[: profile.points.shape[1]]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from itertools import islice, pairwise
@@ -59,7 +59,7 @@ class CostStudy:
 
     truth: Truth
 
-    def __init__(self, scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, comm: MPI.Comm):
+    def __init__(self, scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path):
         """Nothing is computed yet.
 
         Args:
@@ -67,14 +67,13 @@ class CostStudy:
             options: Changes of the scene, as in `solve`.
             budget: Of one row; by default `DEFAULT_BUDGET`.
             folder: Where a reference solution is kept.
-            comm: Communicator; not used if the scene has a DOLFINx mesh.
 
         Raises:
             InputError: If an option does not fit.
         """
         self.full = changed(scene, options)
         self.full.only_scalar("the cost of accuracy")
-        self.comm = self.full.mesh.comm if self.full.mesh is not None else comm
+        self.comm = self.full.mesh.comm if self.full.mesh is not None else MPI.COMM_WORLD
         # the errors of a known solution take time that does not belong to the solver
         self.scene = self.full.change({"exact": None, "report": {}})
         self.budget, self.folder = Budget.of(budget or DEFAULT_BUDGET), folder
@@ -208,18 +207,26 @@ class CostStudy:
     def _adaptive(self, choice: Choice) -> Iterator[Row]:
         """Rows of one choice on meshes that are refined where the error is (collective)."""
         scene, found = choice.on(next(uniform_meshes(self.scene))), list[Row]()
-        self._end(choice, found, scene)
-        while choice.name not in self.ends:  # what is on the disk
+        base, computed = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}, None
+        while choice.name not in self.ends:
             key = self._key(scene, f"{choice.name} {len(found)}")
             row = self._store.find(key)
             if row is None:
-                break
+                computed = computed or self._refined(scene, len(found))
+                row = next(computed, None)
+                if row is None:
+                    self.ends[choice.name] = too_many(self.budget)
+                    return
+                row = self._store.add(key, {**base, **row})
+                self.truth.forget()
             found.append(row)
             yield row
             self._end(choice, found, scene)
-        if choice.name in self.ends:
-            return
-        base: Row = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}
+        if computed is not None:
+            computed.close()
+
+    def _refined(self, scene: Scene, first: int) -> Generator[Row, None, None]:
+        """The values of a row on each mesh, of this number on, or in the end why there is none (collective)."""
         try:
             with closing(Refinement(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
                 for _ in islice(meshes, 2):
@@ -229,29 +236,17 @@ class CostStudy:
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
                 for number, (work, answer) in enumerate(meshes):
                     if refinement.full:
-                        self.ends[choice.name] = too_many(self.budget)
-                        break
+                        return
                     memory = max(memory, peak_memory_mb(self.comm) - before)
-                    if number < len(found):
+                    if number < first:
                         continue
-                    bound = answer.bound
-                    assert bound is not None
+                    assert answer.bound is not None
                     figures = self._figures(work, answer, before, Distance(work.problem))
-                    row = {**base, **figures, "bound": bound.record, "parts": {}}
-                    row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
-                    key = self._key(scene, f"{choice.name} {number}")
-                    found.append(self._store.add(key, row))
-                    self.truth.forget()
-                    yield found[-1]
-                    self._end(choice, found, scene)
-                    if choice.name in self.ends:
-                        break
+                    spent = {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
+                    yield {**figures, "bound": answer.bound.record, "parts": {}, **spent}
                     forget_peak_memory(self.comm)  # of what measured the errors
         except (NotConverged, InputError) as error:
-            key = self._key(scene, f"{choice.name} {len(found)}")
-            found.append(self._store.add(key, {**base, "reason": without_name(error, self.full)}))
-            self._end(choice, found, scene)
-            yield found[-1]
+            yield {"reason": without_name(error, self.full)}
 
     def _map(self) -> Iterator[Row]:
         """Rows over h and eps, from 1/mu L^2 down past the floor of round-off (collective)."""
