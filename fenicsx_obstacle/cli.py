@@ -112,9 +112,10 @@ def explain(scene_file: str, tol: float | None, tol_absolute: float | None, goal
 
     tell(explain(scene))
     if tol is not None or tol_absolute is not None:
+        from fenicsx_obstacle.answers.solve import adaptation
         from fenicsx_obstacle.show.forecast import forecast_text
 
-        tell(forecast_text(scene, tol, tol_absolute, goal))
+        tell(forecast_text(adaptation(scene, tol, tol_absolute, goal=goal)))
 
 
 @commands.command()

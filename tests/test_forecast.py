@@ -144,21 +144,22 @@ def test_what_is_reached_on_the_way():
     an eps that is too large for the tolerance is the reason."""
     disk = catalogue.scene("disk_flat").change({"exact": None})
     for goal, tol in ((None, 0.1), ("force", 0.01)):
-        found, answer = forecast(disk, tol, goal=goal, comm=COMM), solve(disk, tol=tol, goal=goal, comm=COMM)
+        found, answer = forecast(adaptation(disk, tol, goal=goal)), solve(disk, tol=tol, goal=goal, comm=COMM)
         assert found.stopped == "" and found.dofs == answer.dofs
         assert found.meshes == len(answer.record["adaptive"]["path"])
-    assert "cannot be reached: eps = 0.1 alone contributes" in forecast_text(disk.change({"solve.eps": 0.1}), 0.01)
+    stiff = adaptation(disk.change({"solve.eps": 0.1}), 0.01)
+    assert "cannot be reached: eps = 0.1 alone contributes" in forecast_text(stiff)
     for options, match in (
         ({"tol": 0.0}, "must be positive"), ({"tol": 0.1, "goal": "forces"}, "no quantity 'forces'"),
         ({"tol": 0.1, "tol_absolute": 0.1}, "two tolerances"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=match):
-            forecast(disk, **options)
+            adaptation(disk, **options)
     flat = membrane(load="-1 - x", lower=0).change({"solve.method": "vi"})
     with pytest.raises(InputError, match="energy norm of u is 0; give --tol-absolute"):
-        forecast(flat, 0.1)
+        forecast(adaptation(flat, 0.1))
     with pytest.raises(InputError, match="not for scenes with"):
-        forecast(Scene.read(DEMOS / "put.toml"), 0.1)
+        adaptation(Scene.read(DEMOS / "put.toml"), 0.1)
 
 
 @pytest.mark.serial

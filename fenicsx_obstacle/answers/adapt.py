@@ -247,6 +247,7 @@ class Adaptation(Refinement):
     Attributes:
         tolerance: Of the error in the energy norm.
         relative: Whether it is relative to the energy norm of u.
+        goal: The quantity that has the tolerance; None for the energy norm.
         power: The error of smooth solutions is of this power of the energy error.
         steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
         estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
@@ -254,16 +255,10 @@ class Adaptation(Refinement):
     """
 
     power, steady, least_unknowns = 1, True, FIRST
+    goal: str | None = None
 
-    def __init__(
-        self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget | None, comm: MPI.Comm
-    ):
-        """Check the tolerance.
-
-        Raises:
-            InputError: If it is wrong.
-        """
-        self.tolerance, self.relative = check_tolerance(relative, absolute)
+    def __init__(self, scene: Scene, tolerance: tuple[float, bool], budget: Budget | None, comm: MPI.Comm):
+        self.tolerance, self.relative = tolerance
         super().__init__(scene, comm, budget)
         self.estimates = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
 

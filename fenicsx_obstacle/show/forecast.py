@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.show.tables import duration
 from fenicsx_obstacle.studies.forecast import Forecast, forecast
 
@@ -12,19 +12,16 @@ BUSY = 1.2  # elapsed over processor time of a machine that does something else
 BOUND, ESTIMATE = ("bound", 2), ("error", 3)  # what falls, and the factor within which forecasts are, measured
 
 
-def forecast_text(scene: Scene, tol: float | None, tol_absolute: float | None = None, goal: str | None = None) -> str:
-    """Lines for `explain --tol` (collective): a few seconds of calibration.
+def forecast_text(run: Adaptation) -> str:
+    """Lines for `explain --tol` of a refinement before its first mesh (collective): a few seconds of calibration.
 
     Raises:
         InputError: As `forecast`.
         NotConverged: As `forecast`.
     """
-    found = forecast(scene, tol, tol_absolute, goal=goal)
-    asked = f"{tol:g}" if tol is not None else f"{tol_absolute:g}"
-    if goal is not None:
-        asked += f" --of {goal}"
-    option = "--tol" if tol is not None else "--tol-absolute"
-    text = f"{asked}: {_words(found, *(BOUND if goal is None else ESTIMATE))}"
+    asked = f"{run.tolerance:g}" if run.goal is None else f"{run.tolerance:g} --of {run.goal}"
+    option = "--tol" if run.relative else "--tol-absolute"
+    text = f"{asked}: {_words(forecast(run), *(BOUND if run.goal is None else ESTIMATE))}"
     return fill(text, 110, initial_indent=f"  {option:13} ", subsequent_indent=" " * 16, break_on_hyphens=False)
 
 

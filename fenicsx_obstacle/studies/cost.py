@@ -108,7 +108,6 @@ class CostStudy:
 
     def _find_truth(self) -> Row:
         """The first row: the reference solution (collective)."""
-        coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
         row = self._store.find(key)
         if self.full.tables.exact is not None:
@@ -124,7 +123,7 @@ class CostStudy:
             if row is None:
                 _log.info("the reference solution, on the finest mesh")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
-                found = make_reference(coarse, uniform_meshes, *limits, self.comm)
+                found = make_reference(self.scene, *limits, self.comm)
                 found.cloud.save(self.folder / REFERENCE, self.comm)
                 self.truth = found
         if row is None:
