@@ -12,6 +12,8 @@ from fenicsx_obstacle.arguments import CHANGES, Place, along_text, interval, nam
 from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import WRONG, InputError
 
+ASKED = ("bound", "tol", "tol_absolute", "goal", "budget", "uncertainty", "restart", "yardstick")  # of solve()
+
 
 class _Ordered(click.Group):
     """Commands in the order of their definition."""
@@ -47,15 +49,7 @@ def solve(
     scene_file: str,
     picture: bool,
     newton: bool,
-    bound: bool,
-    tol: float | None,
-    tol_absolute: float | None,
-    goal: str | None,
-    budget: str | None,
-    uncertainty: bool,
     verify: bool,
-    restart: Path | None,
-    yardstick: bool,
     output: Path | None,
     json_file: str | None,
     quiet: bool,
@@ -66,6 +60,7 @@ def solve(
     SCENE is a file, or a name that 'scenes' lists. Writes answer.json, scene.toml, history.csv, fields.xdmf (ParaView),
     free_boundary.csv and report.html into out/SCENE; with [time] frames.xdmf, history.png, a state for --restart too.
     """
+    asked = {key: given.pop(key) for key in ASKED}
     scene = _read(scene_file, typed(given))  # a mistake in it is told before finite elements are loaded
     if newton:
         scene.only_scalar("--newton")
@@ -79,10 +74,7 @@ def solve(
     folder = output or Path("out") / scene.name
     check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
-        answer = solve(
-            scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, goal=goal, budget=budget,
-            restart=restart, keep=folder if scene.time is not None else None, uncertainty=uncertainty,
-        )  # fmt: skip
+        answer = solve(scene, keep=folder if scene.time is not None else None, **asked)
         answer.save(folder)
         checked = answer.verify() if verify else None
         answer, drawn = report_answer(answer, folder, picture=picture, newton=newton, started=STARTED)

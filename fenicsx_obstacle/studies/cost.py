@@ -33,7 +33,7 @@ from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb, total
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
+from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, dimension, uniform_meshes
 from fenicsx_obstacle.studies.reference_solution import ExactReference, Reference, Truth, make_reference, sizes_of
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 
@@ -274,9 +274,25 @@ class CostStudy:
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
-        dim = {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
+        dim, budget, last = dimension(scene), self.budget, rows[-1]
         growth = GROWTH if choice.adaptive else float(FACTOR[dim] ** dim)
-        why = ending(rows, growth, dim, self.budget, self.comm, adaptive=choice.adaptive)
+        if last.get("reason"):
+            self.ends[choice.name] = str(last["reason"])
+            return
+        times = [row["seconds"] for row in rows]
+        if choice.adaptive:  # seconds are those of all meshes so far
+            next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
+        else:
+            next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
+        why = ""
+        if next_ > budget.seconds:
+            why = f"the next mesh would take about {next_:.2g} s; the budget is {budget.seconds:g} s"
+        elif growth * last["dofs"] > budget.unknowns and not choice.adaptive:
+            why = too_many(budget)
+        elif growth * last["memory_mb"] > budget.megabytes:
+            why = f"the next mesh would take more than the budget of {budget.megabytes:g} MB"
+        elif not fits(growth * last["dofs"], dim, self.comm):
+            why = "the next mesh would not fit into the memory of this machine"
         if why:
             self.ends[choice.name] = why
 
@@ -341,40 +357,6 @@ def floor_of(context: SolverContext, answer: Answer) -> float:
         u = answer.u.x.array[: problem.level.owned]
         rounded = EPSILON * math.sqrt(total(comm, (problem.matrices.diagonal * u * ~problem.fixed) ** 2))
     return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
-
-
-def ending(
-    rows: Sequence[Mapping[str, Any]], growth: float, dim: int, budget: Budget, comm: MPI.Comm, *, adaptive: bool
-) -> str:
-    """The reason why there is no row after these, or "" (collective).
-
-    Args:
-        rows: Of one choice.
-        growth: Of unknowns from one mesh to the next.
-        dim: Of the mesh.
-        budget: Of a row.
-        comm: Communicator.
-        adaptive: Whether seconds are those of all meshes so far.
-    """
-    if not rows:
-        return ""
-    last = rows[-1]
-    if last.get("reason"):
-        return str(last["reason"])
-    times = [row["seconds"] for row in rows]
-    if adaptive:
-        next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
-    else:
-        next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
-    if next_ > budget.seconds:
-        return f"the next mesh would take about {next_:.2g} s; the budget is {budget.seconds:g} s"
-    if growth * last["dofs"] > budget.unknowns and not adaptive:
-        return too_many(budget)
-    if growth * last["memory_mb"] > budget.megabytes:
-        return f"the next mesh would take more than the budget of {budget.megabytes:g} MB"
-    if not fits(growth * last["dofs"], dim, comm):
-        return "the next mesh would not fit into the memory of this machine"
-    return ""
 
 
 def too_many(budget: Budget) -> str:
