@@ -100,12 +100,11 @@ def explain(scene_file: str, tol: float | None, tol_absolute: float | None, goal
     if goal is not None and tol is None and tol_absolute is None:
         raise InputError("--of needs a tolerance: add --tol")
     scene = _read(scene_file, typed(given))
-    from fenicsx_obstacle.show.explain import explain
+    from fenicsx_obstacle.show.explain import explain, forecast_text
 
     tell(explain(scene))
     if tol is not None or tol_absolute is not None:
         from fenicsx_obstacle.answers.solve import adaptation
-        from fenicsx_obstacle.show.forecast import forecast_text
 
         tell(forecast_text(adaptation(scene, tol, tol_absolute, goal=goal)))
 

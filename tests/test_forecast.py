@@ -11,7 +11,7 @@ from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import forget_peak_memory
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.show.forecast import _words, forecast_text
+from fenicsx_obstacle.show.explain import forecast_in_words, forecast_text
 from fenicsx_obstacle.studies import forecast as module
 from fenicsx_obstacle.studies.forecast import BEYOND, closest, continued, forecast
 from tests.conftest import COMM, DEMOS, membrane, slow_except
@@ -116,7 +116,7 @@ def test_two_measurements_agree_or_the_words_say_so(monkeypatch):
     found = continued(run, 1, module._larger(run, context, 1, 3.0))
     assert next(times, None) is None and not found.agrees and found.spread == pytest.approx(1.5)
     assert found.busy == pytest.approx(3.0)
-    words = _words(found, "bound", 2)
+    words = forecast_in_words(found, "bound", 2)
     assert "unknowns and memory within a factor of 2" in words
     assert "measured times per unknown differ by a factor of 1.5" in words
     assert "elapsed time is 3.0 times processor time" in words

@@ -87,18 +87,8 @@ class _Checker:
         raise InputError(self.formula.pointing(node, message))
 
 
-def check_profiles(scene: Definitions) -> None:
-    """Reject formulas of comparison of unknown quantities or with unknown names.
-
-    Raises:
-        InputError: Naming the profile.
-    """
-    for name in scene.tables.profile:
-        of_profile(scene, name)
-
-
 def of_profile(scene: Definitions, name: str) -> dict[str, Formula]:
-    """The formulas of comparison of a profile."""
+    """The formulas of comparison of a profile; errors as of `compared`."""
     return compared(scene, scene.tables.profile[name].compare, f"[profile.{name}] compare")
 
 
@@ -111,7 +101,7 @@ def compared(scene: Definitions, given: Mapping[str, float | str], place: str) -
         place: Where they stand, for messages.
 
     Raises:
-        InputError: Naming the formula.
+        InputError: If a quantity or a name in a formula is not known.
     """
     known, found = DRAWN_OF_BODIES if scene.of_body else DRAWN, dict[str, Formula]()
     for key, value in given.items():
