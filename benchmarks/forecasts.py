@@ -19,6 +19,7 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, solve
+from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.forecast import forecast
 from tests.random.families.solid_meshes import octants, tetrahedra
@@ -74,7 +75,7 @@ def one(how: str, name: str, element: str, tol: str, goal: str | None = None) ->
     scene = scene_of(name).change({"solve.element": element})
     elapsed, processor = time.perf_counter(), time.thread_time()
     if how == "guess":
-        found = asdict(forecast(scene, float(tol), goal=goal))
+        found = asdict(forecast(adaptation(scene, float(tol), goal=goal)))
     else:
         record = solve(scene, tol=float(tol), goal=goal).record
         found = {"dofs": record["dofs"], "memory_mb": record["memory_mb"], "seconds": time.thread_time() - processor}

@@ -124,16 +124,26 @@ def values_of(text: str, key: str) -> list[Any]:
     return [round(step) if whole else float(f"{step:.12g}") for step in steps]
 
 
+def named(item: str, option: str, wanted: str) -> tuple[str, str]:
+    """What stands on both sides of the first = of a text.
+
+    Raises:
+        InputError: If one of them is missing: what was wanted.
+    """
+    key, _, text = (part.strip() for part in item.partition("="))
+    if not (key and text):
+        raise InputError(f"{option} {item}: expected {wanted}")
+    return key, text
+
+
 def varied(item: str) -> tuple[str, list[Any]]:
     """Key and values of KEY=LIST.
 
     Raises:
         InputError: If it is not.
     """
-    key, equals, text = item.partition("=")
-    if not equals or not text or not key.strip():
-        raise InputError(f"--vary {item}: expected KEY=LIST, such as cells=16..128")
-    return key.strip(), values_of(text.strip(), key.strip())
+    key, text = named(item, "--vary", "KEY=LIST, such as cells=16..128")
+    return key, values_of(text, key)
 
 
 def interval(item: str) -> tuple[str, tuple[float, float]]:
@@ -165,14 +175,21 @@ def typed(given: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: If a --set is not KEY=VALUE.
     """
-    changes = dict(_setting(item) for item in given.pop("set_", ()))
+    settings = [named(item, "--set", "KEY=VALUE, such as define.ecc=0.9") for item in given.pop("set_", ())]
+    changes = {key: _value(text) for key, text in settings}
     if isinstance(given.get("eps"), str):
         given["eps"] = _value(given["eps"])
     return {**changes, **given}
 
 
-def _setting(item: str) -> tuple[str, Any]:
-    key, equals, text = item.partition("=")
-    if not equals or not text or not key.strip():
-        raise InputError(f"--set {item}: expected KEY=VALUE, such as define.ecc=0.9")
-    return key.strip(), _value(text.strip())
+def along_text(text: str) -> tuple[list[float], list[float]]:
+    """The ends of a line as the command `plot` takes them: "x0,y0:x1,y1".
+
+    Raises:
+        InputError: If the text is of another form.
+    """
+    try:
+        start, end = ([float(word) for word in part.split(",")] for part in text.split(":"))
+    except ValueError:
+        raise InputError(f"--along {text}: expected two points, such as 0,0.5:1,0.5") from None
+    return start, end

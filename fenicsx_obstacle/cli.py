@@ -8,9 +8,11 @@ from typing import Any
 
 import click
 
-from fenicsx_obstacle.arguments import CHANGES, Place, interval, options, typed, varied
+from fenicsx_obstacle.arguments import CHANGES, Place, along_text, interval, named, options, typed, varied
 from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import WRONG, InputError
+
+ASKED = ("bound", "tol", "tol_absolute", "goal", "budget", "uncertainty", "restart", "yardstick")  # of solve()
 
 
 class _Ordered(click.Group):
@@ -47,15 +49,7 @@ def solve(
     scene_file: str,
     picture: bool,
     newton: bool,
-    bound: bool,
-    tol: float | None,
-    tol_absolute: float | None,
-    goal: str | None,
-    budget: str | None,
-    uncertainty: bool,
     verify: bool,
-    restart: Path | None,
-    yardstick: bool,
     output: Path | None,
     json_file: str | None,
     quiet: bool,
@@ -66,6 +60,7 @@ def solve(
     SCENE is a file, or a name that 'scenes' lists. Writes answer.json, scene.toml, history.csv, fields.xdmf (ParaView),
     free_boundary.csv and report.html into out/SCENE; with [time] frames.xdmf, history.png, a state for --restart too.
     """
+    asked = {key: given.pop(key) for key in ASKED}
     scene = _read(scene_file, typed(given))  # a mistake in it is told before finite elements are loaded
     if newton:
         scene.only_scalar("--newton")
@@ -79,10 +74,7 @@ def solve(
     folder = output or Path("out") / scene.name
     check_places(folder, json_file)
     with progress(scene.name, quiet=quiet):
-        answer = solve(
-            scene, yardstick=yardstick, bound=bound, tol=tol, tol_absolute=tol_absolute, goal=goal, budget=budget,
-            restart=restart, keep=folder if scene.time is not None else None, uncertainty=uncertainty,
-        )  # fmt: skip
+        answer = solve(scene, keep=folder if scene.time is not None else None, **asked)
         answer.save(folder)
         checked = answer.verify() if verify else None
         answer, drawn = report_answer(answer, folder, picture=picture, newton=newton, started=STARTED)
@@ -108,13 +100,13 @@ def explain(scene_file: str, tol: float | None, tol_absolute: float | None, goal
     if goal is not None and tol is None and tol_absolute is None:
         raise InputError("--of needs a tolerance: add --tol")
     scene = _read(scene_file, typed(given))
-    from fenicsx_obstacle.show.explain import explain
+    from fenicsx_obstacle.show.explain import explain, forecast_text
 
     tell(explain(scene))
     if tol is not None or tol_absolute is not None:
-        from fenicsx_obstacle.show.forecast import forecast_text
+        from fenicsx_obstacle.answers.solve import adaptation
 
-        tell(forecast_text(scene, tol, tol_absolute, goal))
+        tell(forecast_text(adaptation(scene, tol, tol_absolute, goal=goal)))
 
 
 @commands.command()
@@ -149,9 +141,10 @@ def study(
         raise InputError("--vary: the same key twice; give all its values in one list")
     scene = _read(scene_file, {**fixed, **{key: some[0] for key, some in values.items()}})
     from fenicsx_obstacle.show.study import report_study
+    from fenicsx_obstacle.studies.convergence import Study
 
     folder = output or Path("out") / scene.name / "-".join(values)
-    run = partial(report_study, scene, values, fixed, folder, uncertainty=uncertainty, fresh=fresh, latex=latex)
+    run = partial(report_study, Study(scene, values, fixed, uncertainty=uncertainty), folder, fresh=fresh, latex=latex)
     rows_of(run, scene.name, folder, json_file, latex, quiet=quiet)
 
 
@@ -184,12 +177,12 @@ def find(
     """
     (key, ends), fixed = interval(vary), typed(given)
     scene = _read(scene_file, {**fixed, key: ends[0]})
-    from fenicsx_obstacle.show.study import report_find
+    from fenicsx_obstacle.show.study import report_study
     from fenicsx_obstacle.studies.find import WITHIN, Find
 
     folder = output or Path("out") / scene.name / f"find-{key}"
     search = Find(scene, {key: ends}, target, fixed, within=WITHIN if within is None else within)
-    rows_of(partial(report_find, search, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
+    rows_of(partial(report_study, search, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()
@@ -214,9 +207,11 @@ def cost(
     fixed = typed(given)
     scene = _read(scene_file, fixed)
     from fenicsx_obstacle.show.cost import report_cost
+    from fenicsx_obstacle.studies.cost import CostStudy
 
     folder = output or Path("out") / scene.name / "cost"
-    rows_of(partial(report_cost, scene, fixed, budget, folder, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
+    study = CostStudy(scene, fixed, budget, folder)
+    rows_of(partial(report_cost, study, fresh=fresh), scene.name, folder, json_file, quiet=quiet)
 
 
 @commands.command()
@@ -255,10 +250,10 @@ def plot(result: Path, output: Path | None, along: str | None, compare: tuple[st
     from fenicsx_obstacle.answers.answer import Answer
 
     if along is not None:
-        from fenicsx_obstacle.answers.profiles import along_text, compare_text
         from fenicsx_obstacle.show.profiles import draw_line
 
-        ends, formulas = along_text(along), dict(compare_text(one) for one in compare)
+        ends = along_text(along)
+        formulas = dict(named(one, "--compare", "a quantity and a formula, such as 'p = 1 - x^2'") for one in compare)
         tell(draw_line(Answer.read(result), *ends, output or result / "along.png", formulas))
         return
     from fenicsx_obstacle.answers.difference import read

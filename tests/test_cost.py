@@ -105,7 +105,7 @@ def study(scene, folder, budget=SMALL, stop=None):
             raise KeyboardInterrupt
 
     with closing(RowStore(folder, COMM)) as store:
-        one = CostStudy(scene, {}, budget, folder, COMM)
+        one = CostStudy(scene, {}, budget, folder)
         try:
             return one, one.run(on_row, store)
         except KeyboardInterrupt:

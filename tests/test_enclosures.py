@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.scenes.derivative_bounds import ORDER
-from fenicsx_obstacle.scenes.enclosures import Cells, OnCells
+from fenicsx_obstacle.scenes.mean_value_forms import Cells, OnCells
 from tests.conftest import COMM, membrane
 
 SCENE = membrane(load=1).change({"mesh.cells": 1})

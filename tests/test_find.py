@@ -65,6 +65,16 @@ def test_same_solution_from_the_last():
     assert rows[-1]["newton_iterations"] <= alone.iterations
 
 
+def test_data_from_python_vary():
+    """Rows whose load is another callable are those of single solves, whatever the callable is called."""
+    loads = [lambda x: -1.0 - 0 * x[0], lambda x: -2.0 - 0 * x[0]]
+    rows = study(string(), {"effects.load": loads})
+    for load, row in zip(loads, rows, strict=True):
+        alone = solve(string().change({"effects.load": load}))
+        assert abs(row["energy"] - alone.energy) < 1e-9 * abs(alone.energy)
+    assert abs(rows[1]["energy"] - rows[0]["energy"]) > 0.1 * abs(rows[0]["energy"])
+
+
 @pytest.mark.parametrize(
     ("vary", "target", "message"),
     [

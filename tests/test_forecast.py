@@ -11,7 +11,7 @@ from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import forget_peak_memory
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.show.forecast import _words, forecast_text
+from fenicsx_obstacle.show.explain import forecast_in_words, forecast_text
 from fenicsx_obstacle.studies import forecast as module
 from fenicsx_obstacle.studies.forecast import BEYOND, closest, continued, forecast
 from tests.conftest import COMM, DEMOS, membrane, slow_except
@@ -116,7 +116,7 @@ def test_two_measurements_agree_or_the_words_say_so(monkeypatch):
     found = continued(run, 1, module._larger(run, context, 1, 3.0))
     assert next(times, None) is None and not found.agrees and found.spread == pytest.approx(1.5)
     assert found.busy == pytest.approx(3.0)
-    words = _words(found, "bound", 2)
+    words = forecast_in_words(found, "bound", 2)
     assert "unknowns and memory within a factor of 2" in words
     assert "measured times per unknown differ by a factor of 1.5" in words
     assert "elapsed time is 3.0 times processor time" in words
@@ -144,21 +144,22 @@ def test_what_is_reached_on_the_way():
     an eps that is too large for the tolerance is the reason."""
     disk = catalogue.scene("disk_flat").change({"exact": None})
     for goal, tol in ((None, 0.1), ("force", 0.01)):
-        found, answer = forecast(disk, tol, goal=goal, comm=COMM), solve(disk, tol=tol, goal=goal, comm=COMM)
+        found, answer = forecast(adaptation(disk, tol, goal=goal)), solve(disk, tol=tol, goal=goal, comm=COMM)
         assert found.stopped == "" and found.dofs == answer.dofs
         assert found.meshes == len(answer.record["adaptive"]["path"])
-    assert "cannot be reached: eps = 0.1 alone contributes" in forecast_text(disk.change({"solve.eps": 0.1}), 0.01)
+    stiff = adaptation(disk.change({"solve.eps": 0.1}), 0.01)
+    assert "cannot be reached: eps = 0.1 alone contributes" in forecast_text(stiff)
     for options, match in (
         ({"tol": 0.0}, "must be positive"), ({"tol": 0.1, "goal": "forces"}, "no quantity 'forces'"),
         ({"tol": 0.1, "tol_absolute": 0.1}, "two tolerances"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=match):
-            forecast(disk, **options)
+            adaptation(disk, **options)
     flat = membrane(load="-1 - x", lower=0).change({"solve.method": "vi"})
     with pytest.raises(InputError, match="energy norm of u is 0; give --tol-absolute"):
-        forecast(flat, 0.1)
+        forecast(adaptation(flat, 0.1))
     with pytest.raises(InputError, match="not for scenes with"):
-        forecast(Scene.read(DEMOS / "put.toml"), 0.1)
+        adaptation(Scene.read(DEMOS / "put.toml"), 0.1)
 
 
 @pytest.mark.serial

@@ -13,6 +13,7 @@ from fenicsx_obstacle import solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.show.study import report_study
+from fenicsx_obstacle.studies.convergence import Study
 from tests.conftest import COMM, membrane
 
 CHROMIUM = shutil.which("chromium")
@@ -54,7 +55,7 @@ class Page(HTMLParser):
 def study_page(disk, folder, monkeypatch):
     """The page of a small h-study."""
     monkeypatch.setattr(sys, "argv", ["/lib/fenicsx_obstacle/__main__.py", "study", "disk.toml", "--eps", "1/2 * h^2"])
-    report_study(disk, {"cells": [8, 16]}, {"eps": "h^2"}, folder / "out", lambda line: None)
+    report_study(Study(disk, {"cells": [8, 16]}, {"eps": "h^2"}), folder / "out", lambda line: None)
     return folder / "out" / "report.html"
 
 

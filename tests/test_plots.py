@@ -13,6 +13,7 @@ from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.study import report_study
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.show.time_history import _chosen
+from fenicsx_obstacle.studies.convergence import Study
 from tests.conftest import COMM, DEMOS, membrane
 from tests.theory.show import drawing
 from tests.theory.statement import Curve, Found, Panel
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("matplotlib_draws")
 
 def rows_of(scene, vary, folder):
     said = []
-    rows = report_study(scene, vary, {}, folder / "out", said.append)
+    rows = report_study(Study(scene, vary, {}), folder / "out", said.append)
     return rows, said
 
 
@@ -149,7 +150,7 @@ def test_orders_along_each_line_of_a_grid(disk):
 )
 def test_eps_means_nothing_to_vi(vary, options, disk, folder):
     with pytest.raises(InputError, match="eps cannot vary: it means nothing to method vi"):
-        report_study(disk, vary, options, folder / "out", lambda line: None)
+        report_study(Study(disk, vary, options), folder / "out", lambda line: None)
     assert not (folder / "out").exists()
     with pytest.raises(InputError, match="or without an obstacle"):
         study(membrane(load=1), {"eps": [0.1, 0.01]})
@@ -167,13 +168,13 @@ def test_a_refused_study_leaves_nothing(disk, folder):
     bad = membrane(tension="x - 1/2", upper=1)
     for _ in range(2):
         with pytest.raises(InputError, match="must be positive"):
-            report_study(bad, {"cells": [4, 8]}, {}, folder / "a" / "b", lambda line: None)
+            report_study(Study(bad, {"cells": [4, 8]}, {}), folder / "a" / "b", lambda line: None)
         COMM.barrier()
         assert not (folder / "a").exists()
         COMM.barrier()
     rows_of(disk, {"cells": [4]}, folder)
     with pytest.raises(InputError, match="must be positive"):
-        report_study(bad, {"cells": [4, 8]}, {}, folder / "out", lambda line: None)
+        report_study(Study(bad, {"cells": [4, 8]}, {}), folder / "out", lambda line: None)
     assert (folder / "out" / "rows.csv").exists()
 
 

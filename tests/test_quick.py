@@ -9,7 +9,7 @@ from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.show import demo as demo_module
-from fenicsx_obstacle.show.study import report_study
+from fenicsx_obstacle.studies.convergence import Study
 from tests.conftest import COMM, DEMOS
 
 ROOT = DEMOS.parent
@@ -66,11 +66,11 @@ def test_demo_on_few_cells(tmp_path, monkeypatch):
     monkeypatch.setattr(demo_module, "solve", lambda scene: solve(scene, cells=8))
     monkeypatch.setattr(demo_module, "report_answer", lambda answer, *_, **__: (answer, "no picture"))
 
-    def short_study(scene, vary, options, folder, say):
+    def short_study(scene, vary, options):
         values = {key: given[:2] for key, given in vary.items()}
-        return report_study(scene, values, {**options, **({} if "cells" in vary else {"cells": 8})}, folder, say)
+        return Study(scene, values, {**options, **({} if "cells" in vary else {"cells": 8})})
 
-    monkeypatch.setattr(demo_module, "report_study", short_study)
+    monkeypatch.setattr(demo_module, "Study", short_study)
     done = CliRunner().invoke(commands, ["demo", "--output", str(tmp_path)], catch_exceptions=False)
     assert done.exit_code == 0
     assert len(list(tmp_path.rglob("answer.json"))) >= 4

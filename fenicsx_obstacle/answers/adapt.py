@@ -247,6 +247,7 @@ class Adaptation(Refinement):
     Attributes:
         tolerance: Of the error in the energy norm.
         relative: Whether it is relative to the energy norm of u.
+        goal: The quantity that has the tolerance; None for the energy norm.
         power: The error of smooth solutions is of this power of the energy error.
         steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
         estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
@@ -254,16 +255,10 @@ class Adaptation(Refinement):
     """
 
     power, steady, least_unknowns = 1, True, FIRST
+    goal: str | None = None
 
-    def __init__(
-        self, scene: Scene, relative: float | None, absolute: float | None, budget: Budget | None, comm: MPI.Comm
-    ):
-        """Check the tolerance.
-
-        Raises:
-            InputError: If it is wrong.
-        """
-        self.tolerance, self.relative = check_tolerance(relative, absolute)
+    def __init__(self, scene: Scene, tolerance: tuple[float, bool], budget: Budget | None, comm: MPI.Comm):
+        self.tolerance, self.relative = tolerance
         super().__init__(scene, comm, budget)
         self.estimates = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
 
@@ -352,20 +347,6 @@ class Adaptation(Refinement):
             return ""
         if isinstance(self.options.eps, float) and self.given and penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {penalty:.3g}; omit eps, so that it is chosen"
-        return self.exhausted(unknowns, answer.level.mesh.topology.dim)
-
-    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
-        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
-        bound = _bound(answer)
-        return bound.total, bound.penalty, self._limit(answer), answer.record["dofs"]
-
-    def exhausted(self, unknowns: float, dim: int) -> str | None:
-        """Why there is no next mesh; None if there is one (collective).
-
-        Args:
-            unknowns: Of the largest mesh in memory.
-            dim: Its dimension.
-        """
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]
         stop = None
@@ -373,11 +354,16 @@ class Adaptation(Refinement):
             stop = f"the budget of {self.budget.seconds:g} s"
         if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
             stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not fits(GROWTH * unknowns, dim, self.comm):
+        if not fits(GROWTH * unknowns, answer.level.mesh.topology.dim, self.comm):
             stop = "the memory of this machine"
         if self._stalls():
             stop = f"round-off: the last {STALLED} meshes have no smaller error"
         return self.comm.bcast(stop)
+
+    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
+        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
+        bound = _bound(answer)
+        return bound.total, bound.penalty, self._limit(answer), answer.record["dofs"]
 
     def _stalls(self) -> bool:
         """Whether refinement has no effect any more: no smaller error, and no larger mesh where errors fluctuate."""

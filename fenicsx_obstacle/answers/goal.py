@@ -75,29 +75,22 @@ class GoalAdaptation(Adaptation):
     """Adaptive refinement until the error of a quantity is below a tolerance, or a budget is spent.
 
     Attributes:
-        goal: The quantity, as the user named it.
+        goal: As the user named it.
         words: 'estimated', 'estimated, not settled' with the reason, or how far the error of the energy is guaranteed.
         estimate: Of its error on the last mesh.
     """
 
     power, steady = 2, False
+    goal: str
     estimate: Estimate
 
-    def __init__(
-        self,
-        scene: Scene,
-        goal: str,
-        relative: float | None,
-        absolute: float | None,
-        budget: Budget | None,
-        comm: MPI.Comm,
-    ):
-        """Check the quantity and the tolerance.
+    def __init__(self, scene: Scene, goal: str, tolerance: tuple[float, bool], budget: Budget | None, comm: MPI.Comm):
+        """Check the quantity.
 
         Raises:
-            InputError: If one of them is wrong, the quantity has no derivative, or the element no estimate.
+            InputError: If it is not known or has no derivative, or the element no estimate.
         """
-        super().__init__(scene, relative, absolute, budget, comm)
+        super().__init__(scene, tolerance, budget, comm)
         if not (scene.pair.nested_hierarchy and scene.pair.at_vertices):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
         self.goal, self.words = goal, "estimated"

@@ -15,7 +15,8 @@ from fenicsx_obstacle.mesh.cells import chains, corners, facet_corners, sides
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.problems.values import Profile
-from fenicsx_obstacle.scenes.report import compare_place
+from fenicsx_obstacle.scenes.formulas import Formula
+from fenicsx_obstacle.scenes.report import of_profile
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import counted, csv_of, nearest
 
@@ -33,15 +34,11 @@ def profiles_of(answer: Answer) -> dict[str, Profile]:
     shown = answer.shown
     t = shown.record["time"]["t"] if "time" in shown.record else None
     for name, points in points_of(scene, answer.level).items():
-        given = scene.tables.profile[name].compare
-        formulas = formulas_at(scene, points, given, compare_place(name), t)
-        found[name] = replace(shown.on(points), formulas=formulas)
+        found[name] = replace(shown.on(points), formulas=formulas_at(scene, points, of_profile(scene, name), t))
     return found
 
 
-def moments_of(
-    answer: Answer, profile: Profile, given: Mapping[str, float | str], place: str
-) -> list[tuple[float, Profile]]:
+def moments_of(answer: Answer, profile: Profile, given: Mapping[str, Formula]) -> list[tuple[float, Profile]]:
     """u, pressure, gap and formulas along the same points at each moment that was kept (collective); none without
     time.
 
@@ -49,7 +46,6 @@ def moments_of(
         answer: Solution of a scene.
         profile: It along a line, at the end.
         given: Formulas of comparison.
-        place: Where they stand, for messages.
 
     Raises:
         InputError: As `formulas_at`.
@@ -68,7 +64,7 @@ def moments_of(
             function.x.scatter_forward()
             values[name] = values_of(function, points)
         gap = values.pop("gap", np.full(len(points), np.inf))
-        formulas = formulas_at(answer.scene, profile.points, given, place, frame.t)
+        formulas = formulas_at(answer.scene, profile.points, given, frame.t)
         found.append((frame.t, replace(profile, gap=gap, slope=None, flux=None, formulas=formulas, **values)))
     return found
 
@@ -110,11 +106,11 @@ def check_profiles(scene: Scene, level: Level) -> None:
     """
     for name, points in points_of(scene, level).items():
         for t in (None,) if scene.time is None else (0.0, scene.time.end):
-            formulas_at(scene, points, scene.tables.profile[name].compare, compare_place(name), t)
+            formulas_at(scene, points, of_profile(scene, name), t)
 
 
 def formulas_at(
-    scene: Scene, points: np.ndarray, given: Mapping[str, float | str], place: str, t: float | None
+    scene: Scene, points: np.ndarray, given: Mapping[str, Formula], t: float | None
 ) -> dict[str, np.ndarray]:
     """The values of formulas of comparison.
 
@@ -122,19 +118,18 @@ def formulas_at(
         scene: Whose definitions they may use.
         points: Shape (n, gdim).
         given: Formulas by the column over which they are drawn.
-        place: Where they stand, for messages.
         t: The moment, of a scene with time.
 
     Raises:
         InputError: If a formula is not finite at a point.
     """
     x, values = in_space(points).T, {} if t is None else {"t": t}
-    formulas = {key: scene.at_points(scene.formula(one, f"{place} {key}"), x, values) for key, one in given.items()}
-    for key, one in formulas.items():
+    found = {key: scene.at_points(formula, x, values) for key, formula in given.items()}
+    for key, one in found.items():
         if not np.isfinite(one).all():
             where = ", ".join(f"{x:.6g}" for x in points[np.argmin(np.isfinite(one))])
-            raise InputError(f"{scene.source}: {place} {key} = {given[key]}: is not finite at ({where})")
-    return formulas
+            raise InputError(f"{given[key].place} = {given[key].text}: is not finite at ({where})")
+    return found
 
 
 def in_space(points: np.ndarray) -> np.ndarray:
@@ -174,31 +169,6 @@ def _chained(segments: np.ndarray, place: str) -> np.ndarray:
         raise InputError(f"{place}: is not a single curve")
     curve = curves[0] if counts.min() == 1 else np.append(curves[0], curves[0][0])
     return np.asarray(x[first[curve]])
-
-
-def compare_text(text: str) -> tuple[str, str]:
-    """A quantity and its formula of comparison as the command `plot` takes them: "p = 1 - x^2".
-
-    Raises:
-        InputError: If the text is of another form.
-    """
-    name, sign, formula = (part.strip() for part in text.partition("="))
-    if not (name and sign and formula):
-        raise InputError(f"--compare {text}: expected a quantity and a formula, such as 'p = 1 - x^2'")
-    return name, formula
-
-
-def along_text(text: str) -> tuple[list[float], list[float]]:
-    """The ends of a line as the command `plot` takes them: "x0,y0:x1,y1".
-
-    Raises:
-        InputError: If the text is of another form.
-    """
-    try:
-        start, end = ([float(word) for word in part.split(",")] for part in text.split(":"))
-    except ValueError:
-        raise InputError(f"--along {text}: expected two points, such as 0,0.5:1,0.5") from None
-    return start, end
 
 
 def as_columns(profile: Profile) -> dict[str, list[float]]:

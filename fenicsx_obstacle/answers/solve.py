@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Adaptation, Budget
+from fenicsx_obstacle.answers.adapt import Adaptation, Budget, check_tolerance
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -140,8 +140,9 @@ def adaptation(
         InputError: If the tolerance or the quantity is wrong, or the scene moves.
     """
     check_equilibrium(scene)
+    tolerance = check_tolerance(tol, tol_absolute)
     if goal is None:
-        return Adaptation(scene, tol, tol_absolute, budget, comm)
+        return Adaptation(scene, tolerance, budget, comm)
     from fenicsx_obstacle.answers.goal import GoalAdaptation  # only where there is one
 
-    return GoalAdaptation(scene, goal, tol, tol_absolute, budget, comm)
+    return GoalAdaptation(scene, goal, tolerance, budget, comm)

@@ -20,6 +20,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.algebra.system import with_infinities
 from fenicsx_obstacle.data.data import Data
+from fenicsx_obstacle.data.measured.table import MeasuredField
 from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.assembly import assembled
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond
@@ -35,6 +36,7 @@ from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import first_given, largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from fenicsx_obstacle.problems.solution import Solution
+from fenicsx_obstacle.scenes.rigid_surfaces import box_gap, facets_gap, table_gap
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.check.finding import Verification
@@ -240,17 +242,22 @@ class Body:
         """
         gdim, obstacle, dofs = self.level.mesh.geometry.dim, one.obstacle, one.dofs
         normals = self._normals.x.array.reshape(-1, gdim)[self.vectors.node_of[dofs]]
-        moves = obstacle.moves or (0.0,) * gdim
-        if obstacle.kind == "gap":
-            value = obstacle.value
-            assert value is not None
-            return lambda: self.data.on_part(value, obstacle.part).x.array[dofs] + one.travel.value * normals @ moves
-        if obstacle.at_nodes:
-            from fenicsx_obstacle.scenes.rigid_surfaces import nodal_gap  # only where a scene names one
+        moves, points, value = obstacle.moves or (0.0,) * gdim, self.level.points.T[dofs, :gdim], obstacle.value
 
-            points, near = self.level.points.T[dofs, :gdim], SAME * self.data.extent
-            at_nodes = nodal_gap(obstacle, self.level.comm, points, normals, near)
-            return lambda: at_nodes(float(one.travel.value) * np.array(moves))
+        def shift() -> np.ndarray:
+            return float(one.travel.value) * np.array(moves)
+
+        if obstacle.kind == "gap":
+            assert value is not None
+            return lambda: self.data.on_part(value, obstacle.part).x.array[dofs] + normals @ shift()
+        if obstacle.kind == "box":
+            centre, near = np.array(obstacle.point), SAME * self.data.extent
+            return lambda: box_gap(points, normals, centre + shift(), obstacle.sizes, near)
+        if isinstance(value, MeasuredField) and obstacle.kind == "stl":
+            to_nearest = facets_gap(value, self.level.comm, points, normals)
+            return lambda: to_nearest(shift())
+        if isinstance(value, MeasuredField):
+            return lambda: table_gap(value, self.level.comm, points, normals, shift())
         n = [self._normals[k] for k in range(gdim)]
         gap = obstacle.gap(self._places, n, [part * one.travel for part in moves])
         compiled = releases.expression(gap, self.level.V)

@@ -9,6 +9,7 @@ asked for: polynomials need none, most cells need three. A plain 0.0 is what is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from math import comb, factorial, prod
 from typing import Any
 
@@ -16,89 +17,75 @@ import numpy as np
 from numpy.polynomial import polynomial
 
 ORDER = 5
-Series = Callable[[int], Any]  # the bound of order k = 1 .. ORDER, divided by k!
+Series = Callable[[int], Any]  # the bound of order k = 1 .. ORDER, divided by k!; of values each is found once
+
+NONE: Series = cache(lambda k: 0.0)
+COORDINATE: Series = cache(lambda k: 1.0 if k == 1 else 0.0)
 
 
-class Slopes:
-    """Bounds of the derivatives of one value, each found when it is first asked for."""
-
-    def __init__(self, find: Series):
-        self._find, self._known = find, dict[int, Any]()
-
-    def order(self, k: int) -> Any:
-        """The bound of order k."""
-        if k not in self._known:
-            self._known[k] = self._find(k)
-        return self._known[k]
-
-
-NONE = Slopes(lambda k: 0.0)
-COORDINATE = Slopes(lambda k: 1.0 if k == 1 else 0.0)
-
-
-def plus(f: Slopes, g: Slopes) -> Slopes:
+def plus(f: Series, g: Series) -> Series:
     """Derivative bounds of f + g and f - g."""
     if f is NONE or g is NONE:
         return g if f is NONE else f
-    return Slopes(lambda k: _sum((f.order(k), g.order(k))))
+    return cache(lambda k: _sum((f(k), g(k))))
 
 
-def product(f0: Callable[[], Any], f: Slopes, g0: Callable[[], Any], g: Slopes) -> Slopes:
+def product(f0: Callable[[], Any], f: Series, g0: Callable[[], Any], g: Series) -> Series:
     """Derivative bounds of f g; f0 and g0 return the largest absolute values of f and g."""
     if f is NONE and g is NONE:
         return NONE
 
     def find(k: int) -> Any:
-        inside = [_times(f.order(j), g.order(k - j)) for j in range(1, k)]
-        ends = [_times(size(), slope) for size, last in ((f0, g), (g0, f)) if not _is_zero(slope := last.order(k))]
+        inside = [_times(f(j), g(k - j)) for j in range(1, k)]
+        ends = [_times(size(), slope) for size, last in ((f0, g), (g0, f)) if not _is_zero(slope := last(k))]
         return _sum((*ends, *inside))
 
-    return Slopes(find)
+    return cache(find)
 
 
-def composed(f: Slopes, outer: Series) -> Slopes:
+def composed(f: Series, outer: Series) -> Series:
     """Derivative bounds of p(f); outer returns those of p on the values of f, divided by factorials."""
     # of (f_1 t + f_2 t^2 + ..)^j the coefficient of t^k
-    powers, outer = {1: f}, Slopes(outer).order
+    powers, outer = {1: f}, cache(outer)
     for j in range(2, ORDER + 1):
         powers[j] = _power(f, powers[j - 1], j)
 
     def find(k: int) -> Any:
-        inner = [(j, powers[j].order(k)) for j in range(1, k + 1)]
+        inner = [(j, powers[j](k)) for j in range(1, k + 1)]
         return _sum(_times(outer(j), power) for j, power in inner if not _is_zero(power))
 
-    return NONE if f is NONE else Slopes(find)
+    return NONE if f is NONE else cache(find)
 
 
-def _power(f: Slopes, before: Slopes, j: int) -> Slopes:
+def _power(f: Series, before: Series, j: int) -> Series:
     """Coefficients of the j-th power of a power series from those of the (j - 1)-th power."""
-    return Slopes(lambda k: _sum(_times(before.order(k - i), f.order(i)) for i in range(1, k - j + 2)))
+    return cache(lambda k: _sum(_times(before(k - i), f(i)) for i in range(1, k - j + 2)))
 
 
-def radius(least: Any) -> Slopes:
+def radius(least: Any) -> Series:
     """Derivative bounds of |x|, from its least value.
 
     |x + t e| = |x| sum_k c_k (t/|x|)^k, c_k = (P_(k-2) - P_k)/(2 k - 1) of the cosine between e and x, P_k Legendre's.
     """
     factors = (1.0, 0.5, 0.1925, 0.125, 0.0824)
-    return Slopes(lambda k: factors[k - 1] * _negative_power(least, k - 1))
+    return cache(lambda k: factors[k - 1] * _negative_power(least, k - 1))
 
 
-def angle(least: Any, x: Slopes, y: Slopes) -> Slopes:
+def angle(least: Any, x: Series, y: Series) -> Series:
     """Derivative bounds of the angle of (x, y), from the least |(x, y)|: order k is at most (k - 1)!/|(x, y)|^k."""
-    return composed(Slopes(lambda k: np.hypot(x.order(k), y.order(k))), turn(least).order)
+    return composed(cache(lambda k: np.hypot(x(k), y(k))), turn(least))
 
 
-def turn(least: Any) -> Slopes:
+def turn(least: Any) -> Series:
     """Derivative bounds of the angle as a function of the point."""
-    return Slopes(lambda k: _negative_power(least, k) / k)
+    return cache(lambda k: _negative_power(least, k) / k)
 
 
-def either(may_hold: Any, may_fail: Any, yes: Slopes, no: Slopes) -> Slopes:
+def either(may_hold: Any, may_fail: Any, yes: Series, no: Series) -> Series:
     """Derivative bounds of `where`; the larger ones if the condition is undecided."""
     if yes is NONE and no is NONE:
         return NONE
-    return Slopes(lambda k: np.maximum(np.where(may_hold, yes.order(k), 0.0), np.where(may_fail, no.order(k), 0.0)))
+    return cache(lambda k: np.maximum(np.where(may_hold, yes(k), 0.0), np.where(may_fail, no(k), 0.0)))
 
 
 def _is_zero(a: Any) -> bool:

@@ -67,15 +67,28 @@ class FormulaField(Field):
         return found
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed:
-        from fenicsx_obstacle.scenes.enclosures import Cells, OnCells  # only where bounds are asked for
+        from fenicsx_obstacle.scenes.mean_value_forms import Cells, OnCells  # only where bounds are asked for
 
         return OnCells(Cells(self.vocabulary, corners, names.get("distance")), self.formula)
 
     def over_time(self, x: np.ndarray, start: np.ndarray, end: np.ndarray, names: Names) -> TimeBounds:
-        from fenicsx_obstacle.scenes.enclosures import over_time  # only where a tolerance chooses the steps
+        from fenicsx_obstacle.scenes import derivative_bounds, intervals  # only where a tolerance chooses the steps
+        from fenicsx_obstacle.scenes.tree_walk import Cells, TreeWalk
 
-        distance = self._known(x, names)["distance"] if self.needs_distance else None
-        return over_time(self.vocabulary, self.formula, x, distance, start, end)
+        # a "cell" is an interval of t: the coordinates are numbers in it, and derivatives are those by t
+        walk = TreeWalk(Cells(self.vocabulary, np.empty((x.shape[1], 0, 0))))
+        fixed = dict(zip("xyz", x, strict=True))
+        fixed |= {"r": np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2), "theta": np.arctan2(x[1], x[0])}
+        if self.needs_distance:
+            fixed["distance"] = self._known(x, names)["distance"]
+        walk.known.update({name: intervals.of_bounds(values, values, 0) for name, values in fixed.items()})
+        walk.known[TIME] = intervals.of_bounds(start, end, 1, derivative_bounds.COORDINATE)
+        with np.errstate(all="ignore"):
+            found = walk.number(self.formula, self.formula.tree)
+            smooth = found.whole & found.finite
+            first, second = (np.where(smooth, found.derivative(k), np.inf) for k in (1, 2))
+            lower, upper = np.where(found.defined, found.lower, -np.inf), np.where(found.defined, found.upper, np.inf)
+        return TimeBounds(*(np.broadcast_to(part, x.shape[1:]) for part in (lower, upper, first, 2 * second)))
 
     def because(self, point: np.ndarray, names: Names) -> str:
         known = {key: names[key] for key in names if key != "distance"}

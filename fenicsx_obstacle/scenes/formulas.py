@@ -9,7 +9,7 @@ import ast
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -222,16 +222,16 @@ def _walk(formula: Formula, node: ast.expr, values: Mapping[str, Any], do: Mappi
         case ast.Compare(left=left, ops=ops, comparators=rest):
             sides = [number(side) for side in (left, *rest)]
             parts = [do[COMPARE[type(op)]](a, b) for op, a, b in zip(ops, sides[:-1], sides[1:], strict=True)]
-            return _fold(do["and"], parts)
+            return reduce(do["and"], parts)
         case ast.BoolOp(op=op, values=operands):
-            return _fold(do["and" if isinstance(op, ast.And) else "or"], [condition(child) for child in operands])
+            return reduce(do["and" if isinstance(op, ast.And) else "or"], [condition(child) for child in operands])
         case ast.Call(func=ast.Name(id="where"), args=[test, yes, no]):
             return do["where"](condition(test), number(yes), number(no))
         case ast.Call(func=ast.Name(id=name), args=args):
             if name not in do:
                 raise InputError(formula.pointing(node, f"{name} cannot be differentiated, so not in [exact]"))
             parts = [number(arg) for arg in args]
-            return _fold(do[name], parts) if name in ("min", "max") else do[name](*parts)
+            return reduce(do[name], parts) if name in ("min", "max") else do[name](*parts)
     raise AssertionError(ast.dump(node))  # _check let nothing else pass
 
 
@@ -239,13 +239,6 @@ def is_condition(node: ast.expr) -> bool:
     return isinstance(node, ast.Compare | ast.BoolOp) or (
         isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
     )
-
-
-def _fold(operation: Callable[[Any, Any], Any], parts: list[Any]) -> Any:
-    result = parts[0]
-    for part in parts[1:]:
-        result = operation(result, part)
-    return result
 
 
 def _column(text: str, offset: int) -> int:

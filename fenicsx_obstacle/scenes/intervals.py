@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cache, reduce
 from math import pi
 from operator import or_
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Truth
 from fenicsx_obstacle.scenes import derivative_bounds
-from fenicsx_obstacle.scenes.derivative_bounds import NONE, Slopes, has_nan
+from fenicsx_obstacle.scenes.derivative_bounds import NONE, Series, has_nan
 
 MOST = 2.0**50  # of integers whose quotients are rounded across no integer
 _ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
@@ -37,13 +37,13 @@ class Enclosure(Bounds):
         square: Of a root, what it is the root of.
     """
 
-    slopes: Slopes = field(default=NONE, repr=False)
+    slopes: Series = field(default=NONE, repr=False)
     square: Enclosure | None = None
 
     def derivative(self, k: int) -> np.ndarray:
         """A bound of its derivative of order k = 1 .. 5 in any direction, divided by k!."""
         with np.errstate(all="ignore"):
-            return np.broadcast_to(np.asarray(self.slopes.order(k)) * MARGIN, self.lower.shape)
+            return np.broadcast_to(np.asarray(self.slopes(k)) * MARGIN, self.lower.shape)
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
@@ -67,7 +67,7 @@ class Enclosure(Bounds):
         return replace(self, whole=self.whole & other.whole, defined=self.defined & other.defined)
 
 
-def of_bounds(lower: Any, upper: Any, degree: Any, slopes: Slopes = NONE) -> Enclosure:
+def of_bounds(lower: Any, upper: Any, degree: Any, slopes: Series = NONE) -> Enclosure:
     """Bounds as they are."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     return Enclosure(lower, upper, np.asarray(degree), np.asarray(True), np.asarray(True), slopes)
@@ -77,7 +77,7 @@ def constant(value: float) -> Enclosure:
     return of_bounds(value, value, 0)
 
 
-def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Slopes, defined: Any = True) -> Enclosure:
+def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Series, defined: Any = True) -> Enclosure:
     """Rounded outward; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
@@ -170,7 +170,7 @@ def _smallest(a: Enclosure) -> np.ndarray:
     return np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
 
 
-def _through(a: Enclosure, outer: derivative_bounds.Series) -> Slopes:
+def _through(a: Enclosure, outer: Series) -> Series:
     """Bounds of derivatives of a function of a."""
     return derivative_bounds.composed(a.slopes, outer)
 
@@ -236,11 +236,11 @@ def _beside_poles(found: Enclosure, *parts: Enclosure) -> Enclosure:
     if not infinite.any():
         return found
     beside, slopes = infinite & found.finite, found.slopes
-    steep = Slopes(lambda k: np.where(beside, np.inf, slopes.order(k)))
+    steep = cache(lambda k: np.where(beside, np.inf, slopes(k)))
     return replace(found.cut(beside), slopes=steep)
 
 
-def _outer(name: str, a: Enclosure) -> Slopes:
+def _outer(name: str, a: Enclosure) -> Series:
     """Bounds of derivatives of a function of a, by its name."""
     return _through(a, derivative_bounds.BOUNDS[name](a.lower, a.upper))
 
@@ -339,7 +339,7 @@ def hypot(a: Enclosure, b: Enclosure) -> Enclosure:
 def distance(root: Enclosure) -> Enclosure:
     """The root of a sum of squares that is the distance from a point: its derivatives are known better."""
     assert root.square is not None
-    square = replace(root.square, slopes=Slopes(lambda k: 2 * root.upper if k == 1 else float(k == 2)))
+    square = replace(root.square, slopes=cache(lambda k: 2 * root.upper if k == 1 else float(k == 2)))
     return replace(root, slopes=derivative_bounds.radius(np.maximum(root.lower, 0.0)), square=square)
 
 

@@ -1,4 +1,4 @@
-"""Mean value forms: linear functions close to a formula in cells in which a condition changes.
+"""Enclosures of a formula in cells, by a walk through it and, where a condition changes, by mean value forms.
 
 On a cell with the middle c a formula is within C + G (x - c), C and G intervals: G bounds the gradient of every branch
 that may hold somewhere in the cell, C the values of these branches at c. Where branches meet smoothly G is narrow;
@@ -9,12 +9,15 @@ values at c would be enough for C + G (x - c), but not for the gradient.
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Truth
+from fenicsx_obstacle.effects.field import Enclosed, Truth
 from fenicsx_obstacle.scenes import intervals
 from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
 from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
@@ -27,6 +30,40 @@ EITHER = intervals.of_bounds(-1.0, 1.0, 0)
 UNKNOWN = intervals.of_bounds(-np.inf, np.inf, 0)
 
 
+class OnCells(Enclosed):
+    """One formula on cells."""
+
+    def __init__(self, cells: Cells, formula: Formula):
+        self.cells, self.formula = cells, formula
+
+    @cached_property
+    def _walk(self) -> TreeWalk:
+        """It is kept, with all it finds."""
+        return TreeWalk(self.cells, nearest_on)
+
+    def once(self) -> Enclosure:
+        with np.errstate(all="ignore"):
+            found = self._walk.number(self.formula, self.formula.tree)
+        lower, upper, degree, whole, defined = (np.broadcast_to(part, self.cells.count) for part in found.parts)
+        return Enclosure(lower, upper, degree, whole, defined, found.slopes)
+
+    def some(self, cells: np.ndarray) -> OnCells:
+        return OnCells(self.cells.of(cells), self.formula)
+
+    def truth(self) -> Truth:
+        with np.errstate(all="ignore"):
+            return self._walk.condition(self.formula, self.formula.tree)
+
+    def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return on_some(linear, self._walk, self.formula, cells)
+
+    def cuts(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return on_some(lines, self._walk, self.formula, cells)
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        return self.cells.values(self.formula, degree, cells)
+
+
 @dataclass(frozen=True)
 class Form:
     """C + G (x - c) on each cell: enclosures of the branches' values at the middle and of their slopes."""
@@ -35,12 +72,12 @@ class Form:
     slopes: tuple[Enclosure, ...]  # one for each coordinate
 
 
-def among(walk: TreeWalk, cells: np.ndarray) -> tuple[TreeWalk, np.ndarray | slice]:
-    """A walk through some of its cells, to look closely there, and their places in it: the same walk, which knows much
-    of them already, unless it has many more."""
+def on_some(find: Callable[[TreeWalk, Formula], Any], walk: TreeWalk, formula: Formula, cells: np.ndarray) -> Any:
+    """What a function finds by a walk, of some of its cells: by the same walk, which knows much of them already, unless
+    it has many more."""
     if walk.cells.count <= FEW + 4 * len(cells):
-        return walk, cells
-    return TreeWalk(walk.cells.of(cells), nearest_on), slice(None)
+        return tuple(part[cells] for part in find(walk, formula))
+    return find(TreeWalk(walk.cells.of(cells), nearest_on), formula)
 
 
 def linear(walk: TreeWalk, formula: Formula) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,9 +107,7 @@ def lines(walk: TreeWalk, formula: Formula) -> tuple[np.ndarray, np.ndarray]:
 
 def nearest_on(walk: TreeWalk, formula: Formula, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`nearest` on some of the cells."""
-    walk, places = among(walk, cells)
-    values, rest = nearest(walk, formula)
-    return values[places], rest[places]
+    return on_some(nearest, walk, formula, cells)
 
 
 def nearest(walk: TreeWalk, formula: Formula) -> tuple[np.ndarray, np.ndarray]:

@@ -87,34 +87,26 @@ class _Checker:
         raise InputError(self.formula.pointing(node, message))
 
 
-def compare_place(name: str) -> str:
-    """The name of the formulas of a profile in messages."""
-    return f"[profile.{name}] compare"
+def of_profile(scene: Definitions, name: str) -> dict[str, Formula]:
+    """The formulas of comparison of a profile; errors as of `compared`."""
+    return compared(scene, scene.tables.profile[name].compare, f"[profile.{name}] compare")
 
 
-def check_profiles(scene: Definitions) -> None:
-    """Reject formulas of comparison of unknown quantities or with unknown names.
-
-    Raises:
-        InputError: Naming the profile.
-    """
-    for name, table in scene.tables.profile.items():
-        check_formulas(scene, table.compare, compare_place(name))
-
-
-def check_formulas(scene: Definitions, given: Mapping[str, float | str], place: str) -> None:
-    """The same of some formulas.
+def compared(scene: Definitions, given: Mapping[str, float | str], place: str) -> dict[str, Formula]:
+    """Formulas of comparison, by the quantity over which they are drawn.
 
     Args:
         scene: Whose definitions they may use.
-        given: Formulas by the quantity over which they are drawn.
+        given: Their texts.
         place: Where they stand, for messages.
 
     Raises:
-        InputError: Naming the formula.
+        InputError: If a quantity or a name in a formula is not known.
     """
-    known = DRAWN_OF_BODIES if scene.of_body else DRAWN
+    known, found = DRAWN_OF_BODIES if scene.of_body else DRAWN, dict[str, Formula]()
     for key, value in given.items():
         if key not in known:
             raise InputError(f"{scene.source}: {place} {key}: no quantity of this name{nearest(key, known)}")
-        scene.formula(value, f"{place} {key}").check_names(scene.known_names - {"distance"})
+        found[key] = scene.formula(value, f"{place} {key}")
+        found[key].check_names(scene.known_names - {"distance"})
+    return found

@@ -14,7 +14,6 @@ from scipy.linalg import null_space
 
 from fenicsx_obstacle.data.measured.table import MeasuredField
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
-from fenicsx_obstacle.effects.boundary.obstacle import Obstacle
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree, largest
 
@@ -23,40 +22,6 @@ ONE = 1e-6  # difference of unit vectors that are one direction
 CLOSED = 1e-5  # of the area: what the area vectors of a closed surface add up to
 MOST_STEPS = 200  # of the search for the point of a table along n
 SETTLED = 1e-12  # relative difference of the last two of them
-
-
-def nodal_gap(
-    obstacle: Obstacle, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray, near: float
-) -> Callable[[np.ndarray], np.ndarray]:
-    """The gap to a box, a table or an STL surface at the nodes that face it, as a function of how far the obstacle has
-    moved, shape (gdim,); both are collective.
-
-    Args:
-        obstacle: With this shape.
-        comm: Ranks of the mesh.
-        points: Coordinates of local nodes, shape (n, gdim).
-        normals: Directions in which the gap is measured there, shape (n, gdim).
-        near: A length below which points are one.
-
-    Raises:
-        InputError: If the data do not fit the body. The function raises it if all lines miss the obstacle, or a table
-            is too steep.
-    """
-    heights = obstacle.value
-    if obstacle.kind == "box":
-        centre = np.array(obstacle.point)
-        return lambda shift: box_gap(points, normals, centre + shift, obstacle.sizes, near)
-    assert isinstance(heights, MeasuredField)
-    if obstacle.kind == "stl":
-        return _to_facets(heights, comm, points, normals)
-    if points.shape[1] == 2 and not heights.along_x:
-        raise InputError(f"{heights.source}: in the plane a table has the columns x, z alone")
-
-    def of_table(shift: np.ndarray) -> np.ndarray:
-        with agree(comm):
-            return table_gap(heights, points, normals, shift)
-
-    return of_table
 
 
 def box_gap(
@@ -81,44 +46,55 @@ def box_gap(
     return np.where(enters <= leaves + near, enters, np.inf)
 
 
-def table_gap(heights: MeasuredField, points: np.ndarray, normals: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Gaps to the surface whose last coordinate is a table of the others (local).
+def table_gap(
+    heights: MeasuredField, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray, shift: np.ndarray
+) -> np.ndarray:
+    """Gaps to the surface whose last coordinate is a table of the others (collective).
 
     Args:
         heights: The table.
+        comm: Ranks of the mesh.
         points: Shape (n, gdim).
         normals: Directions n, shape (n, gdim).
         shift: How far the surface has moved, shape (gdim,).
 
     Raises:
-        InputError: If a line along n leaves the data, or may meet the surface more than once.
+        InputError: If the table has too many columns, a line along n leaves the data, or may meet the surface more than
+            once.
     """
+    if points.shape[1] == 2 and not heights.along_x:
+        raise InputError(f"{heights.source}: in the plane a table has the columns x, z alone")
     where = points - shift
     up, size = normals[:, -1], 1.0 + np.abs(where).max(initial=0.0)
-    found, bad = np.zeros(len(points)), np.abs(up) <= ALONG
+    found, bad, moves = np.zeros(len(points)), np.abs(up) <= ALONG, np.ones(len(points), dtype=bool)
     for _ in range(MOST_STEPS):
-        if bad.any():
+        if bad.any() or not moves.any():
             break
         x = np.zeros((3, len(points)))
         x[: points.shape[1] - 1] = (where + found[:, None] * normals).T[:-1]
         before, found = found, (heights.at(x, {}) - where[:, -1]) / up
         bad = np.isnan(found)  # outside the data
         moves = np.abs(found - before) > SETTLED * size
-        if not (bad | moves).any():
-            return found
-    place = ", ".join(f"{x:.6g}" for x in points[np.argmax(bad if bad.any() else moves)])
-    raise InputError(
-        f"{heights.source}: the line along n from ({place}) does not meet the data in one point"
-        f"{heights.because(np.zeros(3), {})}; give data that reach farther, or 'along' for a steeper n"
-    )
+    with agree(comm):
+        if (bad | moves).any():
+            place = ", ".join(f"{x:.6g}" for x in points[np.argmax(bad if bad.any() else moves)])
+            raise InputError(
+                f"{heights.source}: the line along n from ({place}) does not meet the data in one point"
+                f"{heights.because(np.zeros(3), {})}; give data that reach farther, or 'along' for a steeper n"
+            )
+    return found
 
 
-def _to_facets(
+def facets_gap(
     surface: MeasuredField, comm: MPI.Comm, points: np.ndarray, normals: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """The gap to the facets of an STL surface that face a body, seen along the one direction of all nodes.
+    """The gap to the facets of an STL surface that face a body, seen along the one direction of all nodes, as a
+    function of how far the surface has moved (collective).
 
     Corners of facets are counter-clockwise when seen from outside the obstacle.
+
+    Raises:
+        InputError: If the directions differ, or no facet faces the body.
     """
     direction = next(one[0] for one in comm.allgather(normals[:1]) if len(one))  # from the body to the obstacle
     if largest(comm, np.abs(normals - direction)) > ONE:

@@ -22,7 +22,7 @@ from fenicsx_obstacle.scenes.definitions import Definitions
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.from_python import Objects, OwnMesh, plain, with_files
 from fenicsx_obstacle.scenes.from_tables import check_body, check_exact, check_parts, effects_of, model_of
-from fenicsx_obstacle.scenes.report import check_profiles, parse_report
+from fenicsx_obstacle.scenes.report import of_profile, parse_report
 from fenicsx_obstacle.signatures import checked
 from fenicsx_obstacle.text import nearest, shown
 
@@ -202,7 +202,8 @@ class Scene(Definitions):
         solve = given.tables.solve
         options = SolverOptions(solve.method, _eps(given, solve.eps), solve.start, f"{source}: [solve]")
         check_parts(given)
-        check_profiles(given)
+        for name in given.tables.profile:
+            of_profile(given, name)
         vars(self).update(vars(given), effects=effects, model=model, report=report, options=options)
 
     @property

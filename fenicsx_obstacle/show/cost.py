@@ -8,11 +8,8 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from mpi4py import MPI
-
 from fenicsx_obstacle.origin import command, versions
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.cost_plots import drawings
 from fenicsx_obstacle.show.figures import save
@@ -32,23 +29,18 @@ NEXT = ["next digit of", "error so far", "by", "in", "a tenth of it", "by", "mor
 BEST = ["error in", "best eps ~ h^q: q", "theory", "h", "best eps", "paper's eps", "auto"]
 
 
-def report_cost(
-    scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, say: Say, *, fresh: bool = False
-) -> list[Row]:
+def report_cost(study: CostStudy, say: Say, *, fresh: bool = False) -> list[Row]:
     """Run the study, or continue an interrupted one; print, save and draw it (collective).
 
     Args:
-        scene: What to solve.
-        options: Changes of the scene.
-        budget: Of one row, in words.
-        folder: Where rows.jsonl, pictures and the page go.
+        study: Its folder gets rows.jsonl, pictures and the page.
         say: Prints a line on rank 0.
         fresh: Forget the rows that are there.
 
     Raises:
         InputError: For bad data or a folder that cannot be written.
     """
-    study = CostStudy(scene, options, budget, folder, MPI.COMM_WORLD)
+    folder = study.folder
     with closing(RowStore(folder, study.comm, fresh=fresh)) as store:
         say(LINE.format(*HEADS).rstrip())
         rows = study.run(lambda row: _say_row(row, say), store)

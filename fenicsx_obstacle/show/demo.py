@@ -10,6 +10,7 @@ from fenicsx_obstacle.checkout import DEMOS, require
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.show.study import Say, report_study
+from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.text import title_of
 
 
@@ -35,5 +36,5 @@ def run_demo(folder: Path, say: Say) -> None:
     for name, headline, vary, options in studies:
         scene = Scene.read(DEMOS / f"{name}.toml")
         say(f"{title_of(scene.tables.title, scene.name)}. {headline}")
-        report_study(scene, vary, options, folder / name / "-".join(vary), say)
+        report_study(Study(scene, vary, options), folder / name / "-".join(vary), say)
         say("")

@@ -1,6 +1,6 @@
-"""`explain`: the equation that is assembled, its signs, the solver, and what is not included.
+"""`explain`: the equation that is assembled, its signs, the solver, what is not included, and the cost of a tolerance.
 
-The words are in `templates/explain.txt`.
+The words are in `templates/explain.txt`, those of a forecast here.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import ast
 import re
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fenicsx_obstacle.algebra.coarse import SMALLEST
 from fenicsx_obstacle.algebra.methods import METHODS, NONLINEAR_WORDS
@@ -31,8 +31,16 @@ from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.scenes.tables import OF_BODIES, OF_SHAPE, BoundaryTable, part_place
+from fenicsx_obstacle.show.tables import duration
 from fenicsx_obstacle.show.template import filled
 from fenicsx_obstacle.text import counted, plain, title_of
+
+if TYPE_CHECKING:
+    from fenicsx_obstacle.answers.adapt import Adaptation
+    from fenicsx_obstacle.studies.forecast import Forecast
+
+BUSY = 1.2  # elapsed over processor time of a machine that does something else
+BOUND, ESTIMATE = ("bound", 2), ("error", 3)  # what falls, and the factor within which forecasts are, measured
 
 
 def explain(scene: Scene) -> str:
@@ -203,3 +211,47 @@ def _not_included(scene: Scene) -> str:
     absent = [key for key in keys if key not in named]
     absent += [f"{side} obstacle" for side in ("lower", "upper") if side not in scene.sides]
     return "; ".join(absent) or "nothing"
+
+
+def forecast_text(run: Adaptation) -> str:
+    """Lines for `explain --tol` of a refinement before its first mesh (collective): a few seconds of calibration.
+
+    Raises:
+        InputError: As `forecast`.
+        NotConverged: As `forecast`.
+    """
+    from fenicsx_obstacle.studies.forecast import forecast  # which loads finite elements
+
+    asked = f"{run.tolerance:g}" if run.goal is None else f"{run.tolerance:g} --of {run.goal}"
+    option = "--tol" if run.relative else "--tol-absolute"
+    text = f"{asked}: {forecast_in_words(forecast(run), *(BOUND if run.goal is None else ESTIMATE))}"
+    return fill(text, 110, initial_indent=f"  {option:13} ", subsequent_indent=" " * 16, break_on_hyphens=False)
+
+
+def forecast_in_words(found: Forecast, error: str, factor: int) -> str:
+    """What a forecast expects, and how certain it is.
+
+    Args:
+        found: The forecast.
+        error: What has a tolerance.
+        factor: Within which the forecast is.
+    """
+    if found.stopped:
+        return f"cannot be reached: {found.stopped}"
+    parts = [f"about {found.dofs:.3g} unknowns on mesh {found.meshes}", f"{duration(found.seconds)} of processor time",
+             f"{found.memory_mb:.0f} MB"]  # fmt: skip
+    expected = "expect " + ", ".join(parts)
+    if found.stopped is not None:
+        return f"{expected} (measured: the calibration has reached the tolerance)"
+    sure = found.agrees and found.busy <= BUSY
+    certain = f"{'' if sure else 'unknowns and memory '}within a factor of {factor}"
+    lines = [f"{expected} (from {duration(found.calibration)} of calibration; the {error} is taken as proportional to "
+             f"unknowns^-{found.order:.2f}; {certain})."]  # fmt: skip
+    if not found.agrees:
+        lines.append(f"The time is uncertain: measured times per unknown differ by a factor of {found.spread:.1f}.")
+    if found.busy > BUSY:
+        lines.append(f"The machine is busy: elapsed time is {found.busy:.1f} times processor time now, and both may be "
+                     "longer than without other programs.")  # fmt: skip
+    if not found.fits:
+        lines.append("This is more memory than is free.")
+    return " ".join(lines)

@@ -15,7 +15,7 @@ from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, formu
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
-from fenicsx_obstacle.scenes.report import DRAWN_OF_BODIES, check_formulas, compare_place
+from fenicsx_obstacle.scenes.report import DRAWN_OF_BODIES, compared, of_profile
 from fenicsx_obstacle.show.figures import (
     ABOVE,
     BLUE,
@@ -46,8 +46,7 @@ def draw_profiles(answer: Answer, folder: Path) -> dict[str, Path]:
     drawn = {name: folder / f"profile-{name}.png" for name in answer.scene.tables.profile}
     moment = answer.shown.title.removeprefix(answer.title)
     for name, profile in profiles_of(answer).items():
-        given = answer.scene.tables.profile[name].compare
-        moments, sizes = moments_of(answer, profile, given, compare_place(name)), _sizes(answer.shown)
+        moments, sizes = moments_of(answer, profile, of_profile(answer.scene, name)), _sizes(answer.shown)
         on_root(answer.level.comm, _write, answer, profile, moments, name + moment, sizes, drawn[name])
     return drawn
 
@@ -71,16 +70,16 @@ def draw_line(
         InputError: If the line leaves the mesh, the name is of no picture, or a formula has no values there.
     """
     check_name(path)
-    answer, given, place = answer.shown, compare or {}, "--compare"
-    check_formulas(answer.scene, given, place)
+    answer = answer.shown
+    given = compared(answer.scene, compare or {}, "--compare")
     profile = answer.along(start, end)
     outside = np.isnan(profile.u.reshape(len(profile.s), -1)).any(axis=1)
     if outside.any():
         where = ", ".join(f"{x:.6g}" for x in profile.points[np.argmax(outside)])
         raise InputError(f"--along: the point ({where}) is outside the mesh")
     t = answer.record["time"]["t"] if "time" in answer.record else None
-    profile = replace(profile, formulas=formulas_at(answer.scene, profile.points, given, place, t))
-    moments, sizes = moments_of(answer, profile, given, place), _sizes(answer)
+    profile = replace(profile, formulas=formulas_at(answer.scene, profile.points, given, t))
+    moments, sizes = moments_of(answer, profile, given), _sizes(answer)
     on_root(answer.level.comm, _write, answer, profile, moments, answer.title, sizes, path)
     return f"{path} and {path.with_suffix('.csv')}: {counted(len(profile.s), 'point')}"
 

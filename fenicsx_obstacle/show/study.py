@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
-from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.plots import drawings
@@ -26,59 +24,31 @@ from fenicsx_obstacle.text import counted
 Say = Callable[[str], None]
 
 
-def report_study(
-    scene: Scene,
-    vary: Mapping[str, Sequence[Any]],
-    options: Mapping[str, Any],
-    folder: Path,
-    say: Say,
-    *,
-    uncertainty: bool = False,
-    fresh: bool = False,
-    latex: Path | None = None,
-) -> list[Row]:
-    """Run a study, or go on with an interrupted one; print, save and draw it (collective).
+def report_study(study: Study, folder: Path, say: Say, *, fresh: bool = False, latex: Path | None = None) -> list[Row]:
+    """Run a study or a search, or go on with an interrupted one; print, save and draw it (collective).
 
     Args:
-        scene: What to solve.
-        vary: Values of each key.
-        options: Fixed values.
-        folder: Where rows.jsonl, rows.csv, the plots, the page and the last answer go.
+        study: Nothing of it is computed yet.
+        folder: Where rows.jsonl, rows.csv, the plots, the page and the last answer go; of a search the one that was
+            found.
         say: Prints a line on rank 0.
-        uncertainty: Of each quantity in each row.
         fresh: Forget the rows that are there.
         latex: File for the table in LaTeX.
 
     Raises:
-        InputError: For bad data or a folder that cannot be written.
+        InputError: For bad data, a target that is not between the values at both ends, or a folder that cannot be
+            written.
         NotConverged: With PETSc's reason; the rows before it are on the disk.
     """
-    study = Study(scene, vary, options, uncertainty=uncertainty)
     with closing(RowStore(folder, study.comm, fresh=fresh)) as store:
-        return _report(study, store, say, latex)
-
-
-def report_find(search: Find, folder: Path, say: Say, *, fresh: bool = False) -> list[Row]:
-    """Find the value of a key for a target, or go on with an interrupted search; print, save and draw (collective).
-
-    Args:
-        search: The key, its interval and the target.
-        folder: As for `report_study`; the last answer is the one that was found.
-        say: Prints a line on rank 0.
-        fresh: Forget the rows that are there.
-
-    Raises:
-        InputError: For a target that is not between the values at both ends, or a folder that cannot be written.
-        NotConverged: With PETSc's reason; the rows before it are on the disk.
-    """
-    with closing(RowStore(folder, search.comm, fresh=fresh)) as store:
-        rows = _report(search, store, say)
-    words = f"{search.quantity} = {search.reached(rows[-1]):.6g}, the target is {search.target:g}"
-    say(f"{search.key} = {search.found:.6g}: {words}; {counted(len(rows), 'solve')}")
+        rows = _report(study, store, say, latex)
+    if isinstance(study, Find):
+        words = f"{study.quantity} = {study.reached(rows[-1]):.6g}, the target is {study.target:g}"
+        say(f"{study.key} = {study.found:.6g}: {words}; {counted(len(rows), 'solve')}")
     return rows
 
 
-def _report(study: Study, store: RowStore, say: Say, latex: Path | None = None) -> list[Row]:
+def _report(study: Study, store: RowStore, say: Say, latex: Path | None) -> list[Row]:
     """Run a study, print its rows, and draw them into the folder of its store (collective)."""
     comm, folder = study.comm, store.folder
     # one is printed while rows come; in the other the last row of a search is the one that was found

@@ -25,6 +25,7 @@ _ORDERS = (
     "Orders are those of the quantity to the left; below them what to expect: what the paper proves, or the best that "
     "P1 can give."
 )
+_LATEX = str.maketrans({"\\": r"\textbackslash{}", "_": r"\_", "^": r"\^{}", "%": r"\%", "|": r"$|$"})
 _EARLIER = "* timed in an earlier run: compare its Poisson solves, not its seconds, with the other rows."
 
 
@@ -100,9 +101,9 @@ class StudyTable:
         """The whole table as a LaTeX tabular (package booktabs)."""
         heads = [cell.head for cell in self.rows[0]]
         lines = [f"\\begin{{tabular}}{{{'r' * len(heads)}}}", "\\toprule"]
-        lines.append(" & ".join(map(_escape, heads)) + r" \\")
+        lines.append(" & ".join(head.translate(_LATEX) for head in heads) + r" \\")
         lines.append("\\midrule")
-        lines += [" & ".join(_escape(cell.value) for cell in cells) + r" \\" for cells in self.rows]
+        lines += [" & ".join(cell.value.translate(_LATEX) for cell in cells) + r" \\" for cells in self.rows]
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
 
 
@@ -157,12 +158,6 @@ def difference(found: Mapping[str, Any], first: str, second: str) -> str:
     if found["outside"]:
         lines.append(f"  {counted(found['outside'], 'node')} of the finer mesh outside of the other mesh: not counted")
     return "\n".join(lines)
-
-
-def _escape(text: str) -> str:
-    for sign, latex in (("\\", r"\textbackslash{}"), ("_", r"\_"), ("^", r"\^{}"), ("%", r"\%"), ("|", r"$|$")):
-        text = text.replace(sign, latex)
-    return text
 
 
 def _line(parts: Sequence[str], widths: Sequence[int]) -> str:

@@ -86,10 +86,14 @@ def choices(scene: Scene) -> list[Choice]:
     return found
 
 
+def dimension(scene: Scene) -> int:
+    """Of its mesh; meshes of files are taken to be plane."""
+    return {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
+
+
 def uniform_meshes(scene: Scene) -> Iterator[Scene]:
     """The scene on uniform meshes, each finer than the one before."""
-    table = scene.tables.mesh
-    dim = {"interval": 1, "box": 3}.get(table.shape or "", 2)
+    table, dim = scene.tables.mesh, dimension(scene)
     for k in range(MESHES):
         if table.shape is None:
             yield scene.change({"mesh.refine": table.refine + k})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, nullcontext, suppress
 from dataclasses import replace
 from itertools import islice, pairwise
@@ -33,7 +33,7 @@ from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb, total
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
+from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, dimension, uniform_meshes
 from fenicsx_obstacle.studies.reference_solution import ExactReference, Reference, Truth, make_reference, sizes_of
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 
@@ -59,7 +59,7 @@ class CostStudy:
 
     truth: Truth
 
-    def __init__(self, scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path, comm: MPI.Comm):
+    def __init__(self, scene: Scene, options: Mapping[str, Any], budget: str | None, folder: Path):
         """Nothing is computed yet.
 
         Args:
@@ -67,14 +67,13 @@ class CostStudy:
             options: Changes of the scene, as in `solve`.
             budget: Of one row; by default `DEFAULT_BUDGET`.
             folder: Where a reference solution is kept.
-            comm: Communicator; not used if the scene has a DOLFINx mesh.
 
         Raises:
             InputError: If an option does not fit.
         """
         self.full = changed(scene, options)
         self.full.only_scalar("the cost of accuracy")
-        self.comm = self.full.mesh.comm if self.full.mesh is not None else comm
+        self.comm = self.full.mesh.comm if self.full.mesh is not None else MPI.COMM_WORLD
         # the errors of a known solution take time that does not belong to the solver
         self.scene = self.full.change({"exact": None, "report": {}})
         self.budget, self.folder = Budget.of(budget or DEFAULT_BUDGET), folder
@@ -109,7 +108,6 @@ class CostStudy:
 
     def _find_truth(self) -> Row:
         """The first row: the reference solution (collective)."""
-        coarse = next(uniform_meshes(self.scene))
         key = on_root(self.comm, row_key, self.full, f"cost truth {self.budget}", self.comm.size)
         row = self._store.find(key)
         if self.full.tables.exact is not None:
@@ -125,7 +123,7 @@ class CostStudy:
             if row is None:
                 _log.info("the reference solution, on the finest mesh")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
-                found = make_reference(coarse, uniform_meshes, *limits, self.comm)
+                found = make_reference(self.scene, *limits, self.comm)
                 found.cloud.save(self.folder / REFERENCE, self.comm)
                 self.truth = found
         if row is None:
@@ -208,18 +206,26 @@ class CostStudy:
     def _adaptive(self, choice: Choice) -> Iterator[Row]:
         """Rows of one choice on meshes that are refined where the error is (collective)."""
         scene, found = choice.on(next(uniform_meshes(self.scene))), list[Row]()
-        self._end(choice, found, scene)
-        while choice.name not in self.ends:  # what is on the disk
+        base, computed = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}, None
+        while choice.name not in self.ends:
             key = self._key(scene, f"{choice.name} {len(found)}")
             row = self._store.find(key)
             if row is None:
-                break
+                computed = computed or self._refined(scene, len(found))
+                row = next(computed, None)
+                if row is None:
+                    self.ends[choice.name] = too_many(self.budget)
+                    return
+                row = self._store.add(key, {**base, **row})
+                self.truth.forget()
             found.append(row)
             yield row
             self._end(choice, found, scene)
-        if choice.name in self.ends:
-            return
-        base: Row = {"choice": choice.name, "adaptive": True, "element": scene.pair.name}
+        if computed is not None:
+            computed.close()
+
+    def _refined(self, scene: Scene, first: int) -> Generator[Row, None, None]:
+        """The values of a row on each mesh, of this number on, or in the end why there is none (collective)."""
         try:
             with closing(Refinement(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
                 for _ in islice(meshes, 2):
@@ -229,29 +235,17 @@ class CostStudy:
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
                 for number, (work, answer) in enumerate(meshes):
                     if refinement.full:
-                        self.ends[choice.name] = too_many(self.budget)
-                        break
+                        return
                     memory = max(memory, peak_memory_mb(self.comm) - before)
-                    if number < len(found):
+                    if number < first:
                         continue
-                    bound = answer.bound
-                    assert bound is not None
+                    assert answer.bound is not None
                     figures = self._figures(work, answer, before, Distance(work.problem))
-                    row = {**base, **figures, "bound": bound.record, "parts": {}}
-                    row |= {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
-                    key = self._key(scene, f"{choice.name} {number}")
-                    found.append(self._store.add(key, row))
-                    self.truth.forget()
-                    yield found[-1]
-                    self._end(choice, found, scene)
-                    if choice.name in self.ends:
-                        break
+                    spent = {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
+                    yield {**figures, "bound": answer.bound.record, "parts": {}, **spent}
                     forget_peak_memory(self.comm)  # of what measured the errors
         except (NotConverged, InputError) as error:
-            key = self._key(scene, f"{choice.name} {len(found)}")
-            found.append(self._store.add(key, {**base, "reason": without_name(error, self.full)}))
-            self._end(choice, found, scene)
-            yield found[-1]
+            yield {"reason": without_name(error, self.full)}
 
     def _map(self) -> Iterator[Row]:
         """Rows over h and eps, from 1/mu L^2 down past the floor of round-off (collective)."""
@@ -280,9 +274,25 @@ class CostStudy:
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
-        dim = {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
+        dim, budget, last = dimension(scene), self.budget, rows[-1]
         growth = GROWTH if choice.adaptive else float(FACTOR[dim] ** dim)
-        why = ending(rows, growth, dim, self.budget, self.comm, adaptive=choice.adaptive)
+        if last.get("reason"):
+            self.ends[choice.name] = str(last["reason"])
+            return
+        times = [row["seconds"] for row in rows]
+        if choice.adaptive:  # seconds are those of all meshes so far
+            next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
+        else:
+            next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
+        why = ""
+        if next_ > budget.seconds:
+            why = f"the next mesh would take about {next_:.2g} s; the budget is {budget.seconds:g} s"
+        elif growth * last["dofs"] > budget.unknowns and not choice.adaptive:
+            why = too_many(budget)
+        elif growth * last["memory_mb"] > budget.megabytes:
+            why = f"the next mesh would take more than the budget of {budget.megabytes:g} MB"
+        elif not fits(growth * last["dofs"], dim, self.comm):
+            why = "the next mesh would not fit into the memory of this machine"
         if why:
             self.ends[choice.name] = why
 
@@ -347,40 +357,6 @@ def floor_of(context: SolverContext, answer: Answer) -> float:
         u = answer.u.x.array[: problem.level.owned]
         rounded = EPSILON * math.sqrt(total(comm, (problem.matrices.diagonal * u * ~problem.fixed) ** 2))
     return min(step.unbalanced / step.forces, TOLERANCE) + rounded / step.forces
-
-
-def ending(
-    rows: Sequence[Mapping[str, Any]], growth: float, dim: int, budget: Budget, comm: MPI.Comm, *, adaptive: bool
-) -> str:
-    """The reason why there is no row after these, or "" (collective).
-
-    Args:
-        rows: Of one choice.
-        growth: Of unknowns from one mesh to the next.
-        dim: Of the mesh.
-        budget: Of a row.
-        comm: Communicator.
-        adaptive: Whether seconds are those of all meshes so far.
-    """
-    if not rows:
-        return ""
-    last = rows[-1]
-    if last.get("reason"):
-        return str(last["reason"])
-    times = [row["seconds"] for row in rows]
-    if adaptive:
-        next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))
-    else:
-        next_ = times[-1] * max([growth, *(b / a for a, b in list(pairwise(times))[-1:])])
-    if next_ > budget.seconds:
-        return f"the next mesh would take about {next_:.2g} s; the budget is {budget.seconds:g} s"
-    if growth * last["dofs"] > budget.unknowns and not adaptive:
-        return too_many(budget)
-    if growth * last["memory_mb"] > budget.megabytes:
-        return f"the next mesh would take more than the budget of {budget.megabytes:g} MB"
-    if not fits(growth * last["dofs"], dim, comm):
-        return "the next mesh would not fit into the memory of this machine"
-    return ""
 
 
 def too_many(budget: Budget) -> str:

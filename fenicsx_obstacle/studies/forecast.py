@@ -15,14 +15,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from mpi4py import MPI
 
 from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work
-from fenicsx_obstacle.answers.solve import adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.memory import free_megabytes
-from fenicsx_obstacle.scenes.scene import Scene
 
 SECONDS = 3.0  # of the first meshes
 LARGER = 4.0  # unknowns of the larger mesh over those of the last one, at most
@@ -75,30 +72,17 @@ class Forecast:
         return self.spread <= AGREE
 
 
-def forecast(
-    scene: Scene,
-    tol: float | None,
-    tol_absolute: float | None = None,
-    *,
-    goal: str | None = None,
-    seconds: float = SECONDS,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-) -> Forecast:
+def forecast(run: Adaptation, seconds: float = SECONDS) -> Forecast:
     """Run the first meshes of `solve --tol`, and continue them (collective).
 
     Args:
-        scene: What is to be solved.
-        tol: Relative tolerance.
-        tol_absolute: Absolute tolerance, instead.
-        goal: The quantity that has the tolerance; None for the energy norm.
+        run: The refinement, before its first mesh.
         seconds: Processor time of the first meshes.
-        comm: Communicator.
 
     Raises:
-        InputError: If there is no error bound or estimate, or the tolerance is not positive.
+        InputError: If there is no error bound or estimate.
         NotConverged: With PETSc's reason.
     """
-    run = adaptation(scene, tol, tol_absolute, goal=goal, comm=comm)
     run.estimates = False  # the time for a bound is to be known
     with closing(run.meshes()) as meshes:
         for context, answer in meshes:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import closing
-from functools import partial
 from itertools import product
 from typing import Any
 
@@ -21,6 +20,7 @@ from fenicsx_obstacle.estimation.norms import Distance, Exact
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
+from fenicsx_obstacle.studies.choices import uniform_meshes
 
 _log = logging.getLogger(__name__)
 FINER = 4.0  # times the seconds and unknowns of a row: what a reference may take
@@ -105,17 +105,14 @@ def _contact_errors(answer: Answer, truth: Mapping[str, float]) -> Errors:
     return {name: abs(value - truth[name]) for name, value in contact_of(answer).items() if name in truth}
 
 
-def make_reference(
-    scene: Scene, sizes: Callable[[Scene], Iterator[Scene]], seconds: float, unknowns: float, comm: MPI.Comm
-) -> Reference:
+def make_reference(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> Reference:
     """The finest solution within the limits, times `FINER` (collective).
 
     Refined where the error is, with its bound, where there are bounds for the scene; else on the finest uniform mesh.
     With quadratic elements, if they are possible.
 
     Args:
-        scene: On its coarsest mesh.
-        sizes: A scene on finer and finer uniform meshes.
+        scene: What is solved.
         seconds: Limit of a row.
         unknowns: Limit of a row.
         comm: Communicator.
@@ -123,11 +120,15 @@ def make_reference(
     Raises:
         ObstacleError: If the scene cannot be solved.
     """
-    found: list[Answer] = []
-    ways = product((_refined, partial(_uniform, sizes)), dict.fromkeys(("P2", scene.pair.name)))
-    for way, element in ways:
+    for way, element in product((_refined, _uniform), dict.fromkeys(("P2", scene.pair.name))):
+        found = list[Answer]()
         try:
-            found = way(scene.change({"solve.element": element}), seconds, unknowns, comm)
+            with closing(way(scene.change({"solve.element": element}), comm)) as answers:
+                for answer, next_seconds, next_unknowns in answers:
+                    found = [*found[-1:], answer]
+                    last = next_seconds > FINER * seconds or next_unknowns > FINER * unknowns
+                    if len(found) > 1 and comm.bcast(last):
+                        break
             break
         except (InputError, NotConverged) as error:
             _log.info("no reference: %s", error)
@@ -145,31 +146,21 @@ def make_reference(
     return Reference(cloud, record)
 
 
-def _refined(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm) -> list[Answer]:
-    """The last two answers on meshes refined where the error is, of at least two (collective)."""
-    found: list[Answer] = []
-    refinement = Refinement(scene, comm)
+Answers = Generator[tuple[Answer, float, float], None, None]  # with about the seconds and unknowns of the next mesh
+
+
+def _refined(scene: Scene, comm: MPI.Comm) -> Answers:
+    """Answers on meshes refined where the error is (collective)."""
+    refinement = Refinement(next(uniform_meshes(scene)), comm)
     with closing(refinement.meshes()) as meshes:
         for _, answer in meshes:
-            found = [*found[-1:], answer]
-            spent, dofs = refinement.path[-1]["seconds"], answer.record["dofs"]
-            last = spent * (1 + GROWTH / 2) > FINER * seconds or GROWTH * dofs > FINER * unknowns
-            if len(found) > 1 and comm.bcast(last):
-                break
-    return found
+            yield answer, (1 + GROWTH / 2) * refinement.path[-1]["seconds"], GROWTH * answer.record["dofs"]
 
 
-def _uniform(
-    sizes: Callable[[Scene], Iterator[Scene]], scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm
-) -> list[Answer]:
-    """Answers on uniform meshes, at least two (collective)."""
-    found: list[Answer] = []
-    for finer in sizes(scene):
+def _uniform(scene: Scene, comm: MPI.Comm) -> Answers:
+    """Answers on uniform meshes (collective)."""
+    for finer in uniform_meshes(scene):
         with closing(SolverContext(finer, comm)) as context:
-            found = [*found[-1:], context.answer()]
-        record = found[-1].record
-        growth = 2.0 ** found[-1].level.mesh.topology.dim
-        last = growth * record["seconds"]["total"] > FINER * seconds or growth * record["dofs"] > FINER * unknowns
-        if len(found) > 1 and comm.bcast(last):
-            break
-    return found
+            answer = context.answer()
+        growth = 2.0**answer.level.mesh.topology.dim
+        yield answer, growth * answer.record["seconds"]["total"], growth * answer.record["dofs"]

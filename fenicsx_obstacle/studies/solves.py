@@ -116,8 +116,11 @@ class Solves:
     def _serves(self, scene: Scene) -> bool:
         """Whether the scene differs from the last in its method and its eps only."""
         assert self.work is not None
-        ours = replace(self.work.scene.options, eps=scene.options.eps, method=scene.options.method)
-        return self.work.scene.with_options(ours).tables == scene.tables
+        before = self.work.scene
+        ours = replace(before.options, eps=scene.options.eps, method=scene.options.method)
+        # data from Python have the same names in the tables, whatever they are
+        pairs = [(before.objects.get(name), scene.objects.get(name)) for name in {*before.objects, *scene.objects}]
+        return before.with_options(ours).tables == scene.tables and all(one is other for one, other in pairs)
 
     def _near(self, values: Mapping[str, Any], scene: Scene) -> np.ndarray | None:
         """The last solution, where Newton's method is expected to need few steps from there (collective).

@@ -120,11 +120,6 @@ class Obstacle(OnPart):
     def __str__(self) -> str:
         return self.words
 
-    @property
-    def at_nodes(self) -> bool:
-        """Whether its gaps are computed at nodes, not from UFL."""
-        return self.kind in ("gap", "box", *FROM_FILES)
-
     def check(self, gdim: int, *, axial: bool) -> None:
         """Reject what does not fit the mesh.
 
