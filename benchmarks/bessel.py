@@ -1,0 +1,99 @@
+"""What accuracy costs beside hp finite elements: the oscillating obstacle of Papadopoulos 2024, arXiv 2412.13733.
+
+    .venv/bin/python benchmarks/bessel.py --json docs/measured/bessel.json   # 10 GB
+    .venv/bin/python docs/_extensions/measured.py
+
+The obstacle problem of its section 7.2, with absolute errors in the norm of H^1 as there. The time is that of the
+processor for a whole solve in this process: all meshes, and error bounds where there are any. The unit is one Poisson
+solve on the mesh of P1. True errors are the distances to a P2 solution whose error bound is printed. Published numbers
+are those of output/bessel_obstacle in github.com/ioannisPApapadopoulos/HierarchicalProximalGalerkin.jl: distances to
+the finest solution of the same method, and seconds by the clock without the assembly of the linear parts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import math
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+from fenicsx_obstacle import solve
+from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.cloud import Cloud, Nearby
+from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
+
+SCENE = Path(__file__).with_suffix(".toml")
+H1 = math.sqrt(1 + 1 / (2 * math.pi**2))  # ||v||_1 is at most this times ||grad v|| if v = 0 around the unit square
+COLUMNS = ["method", "unknowns", "$H^1$ error", "proved $H^1$ error", "seconds", "Poisson solves"]
+PUBLISHED = [
+    ["published: hp proximal Galerkin, degree 4", "25281", "0.0374", "", "4.8", ""],
+    ["published: hp proximal Galerkin, degree 5", "159201", "0.0080", "", "36", ""],
+    ["published: active sets, degree 1", "1635841", "0.0214", "", "443", ""],
+]
+
+
+def main() -> None:
+    """Solve, print and store."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cells", type=int, default=1536, help="cells per side with P1")
+    parser.add_argument("--errors", default="0.1,0.0374,0.0214,0.008", help="proved H^1 errors to reach with P2")
+    parser.add_argument("--reference", type=float, default=1.5e-3, help="tolerance of the solution that is the truth")
+    parser.add_argument("--times", type=int, default=3, help="runs of each; the least time counts")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    for element in ("P1", "P2"):  # forms are compiled or loaded here
+        solve(SCENE, element=element, cells=16, bound=True)
+    truth, proved = reference(options.reference)
+    print(f"errors are right to {proved:.1e}")
+    uniform: dict[str, Any] = {"cells": options.cells}
+    cases = [("P1, uniform mesh", uniform), ("the same with an error bound", {**uniform, "bound": True})]
+    for error in options.errors.split(","):
+        cases.append((f"P2, adaptive to {error}, proved", {"element": "P2", "tol_absolute": float(error) / H1}))
+    unit, rows = 0.0, []
+    for name, asked in cases:
+        answer, seconds, wall = timed(asked, options.times)
+        unit = unit or poisson_seconds(answer.level, time.process_time)
+        found = Nearby(truth, answer.level).norms(answer.u)
+        bound = "" if answer.bound is None else f"{math.ceil(1e4 * H1 * answer.bound.total) / 1e4:.4f}"
+        rows.append([name, str(answer.record["dofs"]), f"{math.hypot(found['l2'], found['energy']):.4f}", bound,
+                     f"{seconds:.1f}", f"{seconds / unit:.2f}"])  # fmt: skip
+        words = "no bound" if answer.bound is None else answer.bound.words
+        print(*rows[-1], words, f"{wall:.1f} s by the clock", f"unit {unit:.2f} s", sep="; ", flush=True)
+    if options.json is not None:
+        options.json.write_text(stored([*PUBLISHED, *rows], proved, unit))
+
+
+def reference(tolerance: float) -> tuple[Cloud, float]:
+    """A solution at quadrature points, and the bound of its error."""
+    answer = solve(SCENE, element="P2", tol_absolute=tolerance)
+    assert answer.bound is not None and answer.bound.guaranteed
+    return Cloud.of(answer), H1 * answer.bound.total
+
+
+def timed(asked: dict[str, Any], times: int) -> tuple[Answer, float, float]:
+    """An answer, and the least seconds of the processor and of the clock."""
+    spent = []
+    for _ in range(times):
+        start, clock = time.process_time(), time.perf_counter()
+        answer = solve(SCENE, **asked)
+        spent.append((time.process_time() - start, time.perf_counter() - clock))
+    processor, wall = zip(*spent, strict=True)
+    return answer, min(processor), min(wall)
+
+
+def stored(rows: list[list[str]], proved: float, unit: float) -> str:
+    """The text of a file in docs/measured."""
+    commit = subprocess.run(["git", "rev-parse", "--short=8", "HEAD"], stdout=subprocess.PIPE, text=True, check=True)
+    head = {"commands": ["benchmarks/bessel.py"], "date": f"{datetime.date.today()}", "commit": commit.stdout.strip(),
+            "reference": f"{proved:.4f}", "unit": f"{unit:.2f} s", "columns": COLUMNS}  # fmt: skip
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
+    table = ",\n".join(f"  {json.dumps(row)}" for row in rows)
+    return "{\n" + ",\n".join([*lines, f' "rows": [\n{table}\n ]']) + "\n}\n"
+
+
+if __name__ == "__main__":
+    main()
