@@ -336,8 +336,13 @@ def test_a_problem_of_ones_own(folder):
     """Solution.read checks the same."""
     problem = Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 4}).problem(COMM)
     assert isinstance(problem, ObstacleProblem)
-    problem.solve().save(folder)
-    Solution.read(folder)
+    found = problem.solve()
+    found.save(folder)
+    back = Solution.read(folder)
+    assert back.force == found.force and back.history == found.history and back.eps == found.eps
+    line, again = (one.along((-0.5, 0), (0.5, 0), n=33) for one in (found, back))
+    for name in ("u", "pressure", "gap", "slope"):
+        assert np.allclose(getattr(line, name), getattr(again, name), atol=1e-12), name
     on_root(COMM, lambda: (folder / "history.csv").open("a").write("\n") and None)
     with pytest.raises(InputError, match=r"history\.csv is not the file"):
         Solution.read(folder)
