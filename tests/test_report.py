@@ -149,17 +149,6 @@ def test_normal_flux_into_a_curve_inside():
     assert abs(found["groove"]) > 0.1 * abs(found["out"])
 
 
-def test_names_and_places():
-    with pytest.raises(InputError, match="'u' has a meaning already"):
-        membrane(report={"u": 1})
-    with pytest.raises(InputError, match="unknown function 'integral'; it belongs in"):
-        membrane(load="integral(x)")
-    with pytest.raises(InputError, match=r"'distance' has no gradient.*not allowed in \[exact\]"):
-        membrane(define={"d": "2*distance"}, exact="d")
-    with pytest.raises(InputError, match="'distance' is 0 on the whole boundary"):
-        membrane(boundary=[{"where": "distance < 1", "value": 0}])
-
-
 def test_answer_at(folder):
     """The same values on all ranks, not-a-number outside, also of an answer read back."""
     scene = membrane(boundary=[{"value": "x + 2*y"}])
