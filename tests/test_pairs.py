@@ -181,7 +181,7 @@ def test_a_pair_with_weights_of_its_own():
     try:
         scene = DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "effects.load": -4})
         mine, theirs = (solve(scene, element=name, bound=True).record for name in ("mine", "P1"))
-        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-10)
+        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-10) and mine["element"] == "mine"
         assert mine["bound"]["total"] == pytest.approx(theirs["bound"]["total"], rel=1e-6)
         with pytest.raises(InputError, match="element mine is for tension and load, not for foundation"):
             solve(scene.change({"effects.foundation": 1}), element="mine")
