@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
+from ladder import show
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
@@ -83,12 +84,6 @@ def timed(action: Callable[[], Any]) -> tuple[Any, float]:
     start = time.process_time()
     result = action()
     return result, MPI.COMM_WORLD.allreduce(time.process_time() - start, op=MPI.MAX)
-
-
-def show(text: str) -> None:
-    """Print on rank 0."""
-    if MPI.COMM_WORLD.rank == 0:
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@
 An upper obstacle of constant height over Fichera's corner and over an L-shaped prism. With v_h in K, the energy J
 satisfies ||u - v_h||^2 <= 2 (J(v_h) - J(u)). J(u) is extrapolated from adaptive meshes, J = J(u) + c N^(-2/3), and the
 difference of two extrapolations is its uncertainty. `ratio` is the bound of ||u - v_h|| over the square root of
-2 (J(v_h) - J(u)), which is not less than the true error. The last lines compare adaptive with uniform meshes.
+2 (J(v_h) - J(u)), which is not less than the true error.
 
 `--edges N` measures the orders in a scene at Fichera's corner in which the inner edges dominate the error. u = 0 on the
 three inner faces, u = 1 on the three faces opposite to them, and the others are free, so that no other edge or corner
@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from benchmarks.ladder import show
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -139,7 +140,6 @@ def main() -> None:
         rows, _ = adaptive(shape, options.unknowns, DATA)
         J, off = limit(rows)
         show(f"{shape}: J(u) = {J:.6f} +- {off:.1g}")
-        uniform = []
         with tempfile.TemporaryDirectory() as folder:
             place = Path(COMM.bcast(folder))
             for kind in ("uniform", "moved", "Gmsh"):
@@ -152,26 +152,8 @@ def main() -> None:
                             ratios.append(bound / error)
                             show(f"{shape:8} {kind:8} {answer.dofs:7} {eps:>6} {error:9.3e} {bound:9.3e} "
                                  f"{ratios[-1]:5.2f}  {words}")  # fmt: skip
-            for half in (2, 4, 8, 16):
-                with closing(SolverContext(made(shape, "uniform", half, place), COMM)) as context:
-                    answer = context.answer(context.scene.options_with(eps="1e-10"), bound=True)
-                    uniform.append((answer.dofs, answer.bound.energy[1], answer.bound.admissible_total))
-        for name, path in (("adaptive", rows), ("uniform", uniform)):
-            before = None
-            for n, energy, bound in path:
-                error = np.sqrt(2 * max(energy - J, 0.0))
-                order = "" if before is None else f"{np.log(before[1] / error) / np.log(n / before[0]):5.2f}"
-                if before is None or n >= 2.5 * before[0]:
-                    show(f"{shape:8} {name:8} {n:7} {error:9.3e} {bound:9.3e} {order}")
-                    before = n, error
     show(f"{len(ratios)} bounds: least {min(ratios):.2f}, median {np.median(ratios):.2f}, largest {max(ratios):.2f}; "
          f"{sum(one < 1 for one in ratios)} below the error")  # fmt: skip
-
-
-def show(text: str) -> None:
-    """Print on rank 0."""
-    if COMM.rank == 0:
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from ladder import show
 from mpi4py import MPI
 from scipy.integrate import quad
 from scipy.optimize import brentq
@@ -192,12 +193,6 @@ def main() -> None:
                     file.write(json.dumps({**record, "exact_goal": exact}) + "\n")
     near, below = (sum(chosen) for chosen in ([0.5 <= r <= 2 for r, _ in ratios], [ok for _, ok in ratios]))
     show(f"{len(ratios)} runs: {near} estimates within a factor 2, {below} errors below the tolerance")
-
-
-def show(text: str) -> None:
-    """Print on rank 0."""
-    if MPI.COMM_WORLD.rank == 0:
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

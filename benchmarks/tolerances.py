@@ -11,6 +11,7 @@ import argparse
 import json
 from pathlib import Path
 
+from ladder import show
 from mpi4py import MPI
 
 from fenicsx_obstacle import ObstacleError, Scene, solve
@@ -57,12 +58,6 @@ def scene(name: str) -> Scene:
         return catalogue.scene(name)
     return Scene(mesh={"shape": "l-shape", "x": [-1, 1], "y": [-1, 1], "cells": 16}, tension=1, lower=-1, exact=CORNER,
                  boundary=[{"value": CORNER}])  # fmt: skip
-
-
-def show(text: str) -> None:
-    """Print on rank 0."""
-    if MPI.COMM_WORLD.rank == 0:
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

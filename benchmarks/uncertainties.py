@@ -16,6 +16,7 @@ from contextlib import closing
 from typing import Any
 
 import numpy as np
+from ladder import show
 from mpi4py import MPI
 
 from fenicsx_obstacle import Scene
@@ -163,11 +164,6 @@ def line(quantity: str, rows: list[Any]) -> str:
     shares = [sum(row[-1] == verdict for row in rows) / len(rows) for verdict in ("not settled", "unbounded")]
     median = np.median(ratios or [np.nan])
     return f"{quantity:10} {len(rows):6} {np.mean(held):6.1%} {median:12.2f} {shares[0]:12.1%} {shares[1]:10.1%}"
-
-
-def show(text: str) -> None:
-    if MPI.COMM_WORLD.rank == 0:
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

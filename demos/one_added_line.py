@@ -67,6 +67,7 @@ def newton(F, u, bc, rtol):
     snes.getKSP().setType("cg")
     snes.getKSP().getPC().setType("gamg")
     snes.getKSP().setTolerances(rtol=1e-10)
+    snes.setFromOptions()
     snes.solve(None, x)
     u.x.array[:owned] = x.array_r
     u.x.scatter_forward()

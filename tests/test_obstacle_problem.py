@@ -17,7 +17,6 @@ from fenicsx_obstacle import (
     NotConverged,
     ObstacleProblem,
     Scene,
-    Solution,
     compare,
     penalty,
     releases,
@@ -25,7 +24,6 @@ from fenicsx_obstacle import (
 )
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
-from fenicsx_obstacle.releases import NEW, vec
 from tests import helpers
 from tests.conftest import COMM, membrane
 from tests.helpers import run_python
@@ -65,37 +63,6 @@ def test_the_same_as_the_scene(cell, degree, element, method):
     points = np.random.default_rng(1).uniform(0.01, 0.99, (40, 2))
     for of in ("u", "pressure", "gap"):
         assert np.allclose(found.at(points, of), answer.at(points, of), rtol=1e-9, atol=1e-9), of
-
-
-def test_the_same_as_one_added_line():
-    """F += penalty(u, v, ...) in plain DOLFINx, Newton's method by hand: the same u to 1e-9."""
-    own, eps = Membrane(), 1e-4
-    found = own.problem().solve(eps=eps)
-    exact = found.u.x.array.copy()
-    u = own.u
-    u.x.array[:] = 0.0
-    F = own.F + penalty(u, own.v, upper=own.g, eps=eps)
-    form, derivative = fem.form(F), fem.form(ufl.derivative(F, u))
-    ksp = PETSc.KSP().create(COMM)
-    ksp.setType("cg")
-    ksp.pc.setType("jacobi")
-    ksp.setTolerances(rtol=1e-13)
-    for _ in range(found.iterations + 2):
-        A = fem.petsc.assemble_matrix(derivative, [own.bc])
-        A.assemble()
-        b = fem.petsc.create_vector(own.V if NEW else form)
-        fem.petsc.assemble_vector(b, form)
-        b.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
-        b.array[fixed_dofs(own)] = 0.0
-        ksp.setOperators(A)
-        step = b.duplicate()
-        ksp.solve(b, step)
-        vec(u).axpy(-1.0, step)
-        u.x.scatter_forward()
-        for owner in (A, b, step):
-            owner.destroy()
-    ksp.destroy()
-    assert largest(COMM, np.abs(u.x.array - exact)) < 1e-9
 
 
 def fixed_dofs(own):
@@ -475,20 +442,6 @@ def test_steps_are_told():
     assert told[-1][1].unbalanced <= 1e-10 * told[-1][1].forces
 
 
-@pytest.mark.parametrize(("cell", "degree", "element"), ELEMENTS)
-def test_saved_and_read(folder, cell, degree, element):
-    """The folder of a Solution: fields, figures and history come back, without any scene."""
-    found = Membrane(8, cell, degree).problem().solve()
-    found.save(folder)
-    back = Solution.read(folder)
-    assert back.force == found.force and back.history == found.history and back.eps == found.eps
-    assert back.level.pair.name == element
-    line, again = (one.along((0, 0.5), (1, 0.5), n=33) for one in (found, back))
-    for name in ("u", "pressure", "gap", "slope"):
-        assert np.allclose(getattr(line, name), getattr(again, name), atol=1e-12), name
-    assert line.points.shape == (33, 2) and line.slope.shape == (33, 2) and np.isclose(line.s[-1], 1)
-
-
 def test_along_a_line():
     """u, gap, pressure and slope of a known solution in 1D: u = x(1 - x) under g = 3/16 touches (1/4, 3/4)."""
     f, a = 6.0, 0.25  # u'' = -f, tangent to g at a: f a^2/2 = g
@@ -547,20 +500,6 @@ def test_without_scenes(tmp_path):
     done = run_python(BLOCKED, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Newton step" in done.stdout and (tmp_path / "picture.png").stat().st_size > 1000
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"method": "newton"}, "method = 'newton': expected penalty, successive or vi"),
-        ({"rtol": 0.02}, "rtol = 0.02: expected a number between 0 and 0.01"),
-        ({"rtol": "1e-9"}, "rtol = '1e-9': expected a number between 0 and 0.01"),
-        ({"rtol": None}, "rtol = None: expected a number between 0 and 0.01"),
-    ],
-)
-def test_mistakes_in_a_solve(given, words):
-    with pytest.raises(InputError, match=words):
-        Membrane(4).problem().solve(**given)
 
 
 def test_meshes_that_are_none():
@@ -626,8 +565,15 @@ def test_common_mistakes():
     ):
         with pytest.raises(InputError, match=words):
             own.problem(**given)
-    with pytest.raises(InputError, match="monitor = 3: expected a function"):
-        own.problem().solve(monitor=3)
+    for given, words in (
+        ({"monitor": 3}, "monitor = 3: expected a function"),
+        ({"method": "newton"}, "method = 'newton': expected penalty, successive or vi"),
+        ({"rtol": 0.02}, "rtol = 0.02: expected a number between 0 and 0.01"),
+        ({"rtol": "1e-9"}, "rtol = '1e-9': expected a number between 0 and 0.01"),
+        ({"rtol": None}, "rtol = None: expected a number between 0 and 0.01"),
+    ):
+        with pytest.raises(InputError, match=words):
+            own.problem().solve(**given)
     for wrong, message in (
         ({"lower": lambda x: 0 * x[0]}, "the obstacle = "),
         ({"lower": np.zeros(3)}, "the obstacle = array"),

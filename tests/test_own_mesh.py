@@ -19,15 +19,16 @@ STIFF = 3.0
 
 
 class Own:
-    """A unit square: left and right sides tagged 1 and 2, cells left and right of x = 1/2 tagged 5 and 6."""
+    """A unit square: sides left and right tagged 1 and 2, the line x = 1/2 3, cells left and right of it 5 and 6."""
 
     def __init__(self, cells=16, cell="triangle"):
         kind = getattr(dmesh.CellType, cell)
         self.mesh = mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [cells, cells], kind)
         mesh.topology.create_connectivity(1, 2)
-        sides = [dmesh.locate_entities_boundary(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 1)]
-        facets, order = np.concatenate(sides), np.argsort(np.concatenate(sides))
-        values = np.repeat([1, 2], [len(side) for side in sides])[order]
+        mesh.topology.create_entities(1)
+        lines = [dmesh.locate_entities(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 1, 0.5)]
+        facets, order = np.concatenate(lines), np.argsort(np.concatenate(lines))
+        values = np.repeat([1, 2, 3], [len(line) for line in lines])[order]
         self.facet_tags = dmesh.meshtags(mesh, 1, facets[order].astype(np.int32), values.astype(np.int32))
         left = dmesh.locate_entities(mesh, 2, lambda x: x[0] <= 0.5 + 1e-12)
         local = mesh.topology.index_map(2).size_local + mesh.topology.index_map(2).num_ghosts

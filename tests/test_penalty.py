@@ -1,5 +1,7 @@
 """The public penalty(): one added line in somebody else's residual."""
 
+import sys
+
 import numpy as np
 import pytest
 import ufl
@@ -8,10 +10,13 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, contact_pressure, nodal_rule, penalty, releases
+from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.forms.penalty import penalty_energy
-from fenicsx_obstacle.parallel import total
-from tests.conftest import COMM
+from fenicsx_obstacle.parallel import largest, total
+from tests.conftest import COMM, DEMOS
 from tests.helpers import Membrane
+
+sys.path.insert(0, str(DEMOS))
 
 
 @pytest.fixture
@@ -121,54 +126,29 @@ def test_degrees_without_a_rule(degree):
         penalty(fem.Function(V), ufl.TestFunction(V), upper=1.0, eps=1.0)
 
 
-def snes_of_own(eps, divergence, linesearch):
-    """PETSc's reason, steps and the contact force of a plain SNES for the Laplacian with load -10, from u = 0
-    (collective)."""
-    own = Membrane(releases.settle(dmesh.create_unit_square(COMM, 40, 40)), load=-10.0)
-    u, V, bc, g = own.u, own.V, own.bc, -0.3 - 0.2 * ufl.SpatialCoordinate(own.mesh)[0]
-    F = own.F + penalty(u, own.v, lower=g, eps=eps)
-    form, J = releases.form(F), releases.form(ufl.derivative(F, u))
-    owned = V.dofmap.index_map.size_local
+def obstacle(own):
+    """The lower one of these tests."""
+    return -0.3 - 0.2 * ufl.SpatialCoordinate(own.mesh)[0]
 
-    def residual(_, x, out):
-        u.x.array[:owned] = x.array_r
-        u.x.scatter_forward()
-        with out.localForm() as local:
-            local.set(0.0)
-        fem.petsc.assemble_vector(out, form)
-        out.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        fem.petsc.set_bc(out, [bc], x, -1.0)
 
-    def jacobian(_, x, A, P):
-        A.zeroEntries()
-        fem.petsc.assemble_matrix(A, J, [bc])
-        A.assemble()
+def newton_of_own(own, eps, divergence, linesearch):
+    """PETSc's reason from the Newton solver of demos/one_added_line.py, in 15 steps from u = 0 (collective)."""
+    from one_added_line import newton
 
-    state = releases.create_vector(V)
-    state.set(0.0)
-    snes = PETSc.SNES().create(COMM)
-    snes.setOptionsPrefix("own_")
-    snes.setFunction(residual, state.duplicate())
-    snes.setJacobian(jacobian, fem.petsc.create_matrix(J))
-    options, settings = PETSc.Options(), {
-        "snes_atol": 1e-10, "snes_rtol": 1e-10, "snes_divergence_tolerance": divergence,
-        "snes_linesearch_type": linesearch, "ksp_rtol": 1e-10, "pc_type": "bjacobi", "sub_pc_type": "lu",
-    }  # fmt: skip
-    for key, value in settings.items():
-        options[f"own_{key}"] = value
-    snes.setFromOptions()
-    snes.solve(None, state)
-    for key in settings:
-        options.delValue(f"own_{key}")
-    force = total(COMM, fem.assemble_scalar(releases.form(contact_pressure(u, lower=g, eps=eps) * ufl.dx)))
-    return snes.getConvergedReason(), snes.getIterationNumber(), force
+    settings = {"snes_divergence_tolerance": divergence, "snes_linesearch_type": linesearch, "snes_max_it": 15}
+    with defaults("", settings):
+        return newton(own.F + penalty(own.u, own.v, lower=obstacle(own), eps=eps), own.u, own.bc, 1e-10)
 
 
 @pytest.mark.slow
 def test_settings_for_a_solver_of_your_own():
-    """Full steps and no divergence tolerance: SNES converges for a small eps. With its defaults it does not."""
+    """Full steps and no divergence tolerance: SNES finds the u of ObstacleProblem. Its defaults do not."""
+    own = Membrane(releases.settle(dmesh.create_unit_square(COMM, 40, 40)), load=-10.0)
     for eps in (1e-5, 1e-8):
-        reason, steps, force = snes_of_own(eps, -1, "basic")
-        assert reason > 0 and steps <= 15 and np.isclose(force, 1.5531, rtol=1e-3)
-        assert snes_of_own(eps, 1e4, "bt")[0] < 0
-    assert snes_of_own(1e-8, 1e4, "basic")[0] == PETSc.SNES.ConvergedReason.DIVERGED_DTOL
+        assert newton_of_own(own, eps, -1, "basic") > 0
+        found, p = own.u.x.array.copy(), contact_pressure(own.u, lower=obstacle(own), eps=eps)
+        theirs = own.problem(lower=obstacle(own)).solve(eps=eps)
+        assert largest(COMM, np.abs(theirs.u.x.array - found)) < 1e-9
+        assert np.isclose(total(COMM, fem.assemble_scalar(releases.form(p * ufl.dx))), theirs.force.lower, rtol=1e-6)
+        assert newton_of_own(own, eps, 1e4, "bt") < 0
+    assert newton_of_own(own, 1e-8, 1e4, "basic") == PETSc.SNES.ConvergedReason.DIVERGED_DTOL

@@ -141,21 +141,6 @@ def test_orders_along_each_line_of_a_grid(disk):
     assert [bool(cells[place].value) for cells in table.rows] == [False] * 2 + [True] * 4
 
 
-@pytest.mark.parametrize(
-    ("vary", "options"),
-    [
-        ({"eps": [0.1, 0.01]}, {"method": "vi"}),
-        ({"solve.eps": [0.1, 0.01], "method": ["penalty", "vi"]}, {}),
-    ],
-)
-def test_eps_means_nothing_to_vi(vary, options, disk, folder):
-    with pytest.raises(InputError, match="eps cannot vary: it means nothing to method vi"):
-        report_study(Study(disk, vary, options), folder / "out", lambda line: None)
-    assert not (folder / "out").exists()
-    with pytest.raises(InputError, match="or without an obstacle"):
-        study(membrane(load=1), {"eps": [0.1, 0.01]})
-
-
 def test_eps_of_obstacles_on_the_boundary():
     """They have an eps as well: u_eps - u_h falls like it (Theorem 3.2)."""
     rows = study(Scene.read(DEMOS / "wall.toml"), {"eps": [1e-3, 1e-4]}, cells=8)

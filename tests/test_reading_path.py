@@ -2,6 +2,7 @@
 
 import re
 import sys
+import traceback
 
 import pytest
 
@@ -45,11 +46,7 @@ def file_of(name):
 
 def stack_of(frame):
     """Files and functions that have called, the first caller first."""
-    calls = []
-    while frame is not None:
-        calls.append((frame.f_code.co_filename, frame.f_code.co_name))
-        frame = frame.f_back
-    return calls[::-1]
+    return [(one.f_code.co_filename, one.f_code.co_name) for one, _ in traceback.walk_stack(frame)][::-1]
 
 
 def contains(stack, wanted):

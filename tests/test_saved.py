@@ -171,45 +171,44 @@ def test_bit_flips(element, old, saved, tmp_path):
     assert old or "read" not in lines
 
 
-def _edit(name, change):
+def edited(name, change, file="fields.h5"):
+    """A function that changes the values of a dataset in a folder."""
+
     def edit(folder):
-        with h5py.File(folder / "fields.h5", "a") as file:
-            values = file[name][()]
-            del file[name]
-            file[name] = change(values)
+        with h5py.File(folder / file, "a") as whole:
+            values = whole[name][()]
+            del whole[name]
+            whole[name] = change(values)
 
     return edit
 
 
-def _external(folder):
-    (folder / "secret").write_bytes(bytes(10**6))
-    with h5py.File(folder / "fields.h5", "a") as file:
-        shape = file["u"].shape
-        del file["u"]
-        file.create_dataset("u", shape, "f8", external=[(str(folder / "secret"), 0, h5py.h5f.UNLIMITED)])
+ELSEWHERE = ("data in another file", "virtual data", "a link", "a claim")
 
 
-def _virtual(folder):
-    with h5py.File(folder / "fields.h5", "a") as file:
-        shape = file["u"].shape
-        file["kept"] = file["u"][()]
-        del file["u"]
-        layout = h5py.VirtualLayout(shape, "f8")
-        layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "u", shape)
-        file.create_virtual_dataset("u", layout)
+def moved(kind, name, file="fields.h5"):
+    """A function after which a dataset in a folder is in another file, or claims to be larger than that."""
 
+    def edit(folder):
+        with h5py.File(folder / file, "a") as whole, h5py.File(folder / "other.h5", "w") as other:
+            values = whole[name][()]
+            other["x"] = values
+            del whole[name]
+            if kind == "data in another file":
+                (folder / "raw").write_bytes(values.tobytes())
+                external = [(str(folder / "raw"), 0, h5py.h5f.UNLIMITED)]
+                whole.create_dataset(name, values.shape, values.dtype, external=external)
+            elif kind == "virtual data":
+                layout = h5py.VirtualLayout(values.shape, values.dtype)
+                layout[:] = h5py.VirtualSource("other.h5", "x", values.shape)
+                whole.create_virtual_dataset(name, layout)
+            elif kind == "a link":
+                whole[name] = h5py.ExternalLink("other.h5", "x")
+            else:
+                size = values.shape[1:]
+                whole.create_dataset(name, (10**12, *size), "f8", chunks=(10**5, *size))
 
-def _link(folder):
-    shutil.copy(folder / "fields.h5", folder / "other.h5")
-    with h5py.File(folder / "fields.h5", "a") as file:
-        del file["u"]
-        file["u"] = h5py.ExternalLink("other.h5", "u")
-
-
-def _empty_claim(folder):
-    with h5py.File(folder / "fields.h5", "a") as file:
-        del file["u"]
-        file.create_dataset("u", (10**12,), "f8", chunks=(10**6,))
+    return edit
 
 
 def _circle(folder):
@@ -227,41 +226,38 @@ def _nan(values):
 
 
 DAMAGE = {
-    "NaN": _edit("u", _nan),
-    "infinite": _edit("pressure", lambda v: np.where(v == v[0], np.inf, v)),
-    "NaN in the obstacle": _edit("lower", _nan),
-    "a point that is not finite": _edit("points", _nan),
-    "too few": _edit("u", lambda v: v[:-1]),
-    "too many": _edit("contact", lambda v: np.append(v, 0.0)),
-    "whole numbers": _edit("u", lambda v: v.astype(int)),
-    "letters": _edit("u", lambda v: v.astype("S4")),
-    "a matrix": _edit("pressure", lambda v: np.column_stack([v, v])),
-    "points of a plane": _edit("points", lambda v: v[:, :2]),
-    "a cell out of range": _edit("cells", lambda v: v + 5),
-    "a cell below 0": _edit("cells", lambda v: v - 1),
-    "cells with five vertices": _edit("cells", lambda v: np.column_stack([v, v, v])[:, :5]),
-    "a cell that is a line": _edit("cells", lambda v: np.column_stack([v[:, :2], v[:, :1]])),
-    "numbers with a point": _edit("cells", lambda v: v.astype(float)),
-    "gdim": _edit("gdim", lambda v: 7),
-    "gdim 1": _edit("gdim", lambda v: 1),
-    "data in another file": _external,
-    "virtual data": _virtual,
-    "a link": _link,
-    "a claim": _empty_claim,
+    "NaN": edited("u", _nan),
+    "infinite": edited("pressure", lambda v: np.where(v == v[0], np.inf, v)),
+    "NaN in the obstacle": edited("lower", _nan),
+    "a point that is not finite": edited("points", _nan),
+    "too few": edited("u", lambda v: v[:-1]),
+    "too many": edited("contact", lambda v: np.append(v, 0.0)),
+    "whole numbers": edited("u", lambda v: v.astype(int)),
+    "letters": edited("u", lambda v: v.astype("S4")),
+    "a matrix": edited("pressure", lambda v: np.column_stack([v, v])),
+    "points of a plane": edited("points", lambda v: v[:, :2]),
+    "a cell out of range": edited("cells", lambda v: v + 5),
+    "a cell below 0": edited("cells", lambda v: v - 1),
+    "cells with five vertices": edited("cells", lambda v: np.column_stack([v, v, v])[:, :5]),
+    "a cell that is a line": edited("cells", lambda v: np.column_stack([v[:, :2], v[:, :1]])),
+    "numbers with a point": edited("cells", lambda v: v.astype(float)),
+    "gdim": edited("gdim", lambda v: 7),
+    "gdim 1": edited("gdim", lambda v: 1),
+    **{kind: moved(kind, "u") for kind in ELSEWHERE},
     "a circle of groups": _circle,
     "objects": _pickled,
 }
 FORGED = {
-    "a name of cells": _edit("element/cell", lambda v: np.array(b"hexahedron")),
-    "no name of cells": _edit("element/cell", lambda v: np.array(b"pyramid")),
-    "an interval": _edit("element/cell", lambda v: np.array(b"interval")),
-    "cells of another element": _edit("element/cells", lambda v: v[:, :-1]),
-    "too many nodes": _edit("element/cells", lambda v: np.column_stack([v, v])),
-    "two nodes": _edit("element/cells", lambda v: v[:, :2]),
-    "a node out of range": _edit("element/cells", lambda v: v + 5),
-    "a vertex twice": _edit("element/cells", lambda v: np.where(np.arange(v.shape[1]) == 1, v[:, :1], v)),
-    "half the cells": _edit("element/cells", lambda v: v[: len(v) // 2]),
-    "NaN in an element": _edit("element/pressure", _nan),
+    "a name of cells": edited("element/cell", lambda v: np.array(b"hexahedron")),
+    "no name of cells": edited("element/cell", lambda v: np.array(b"pyramid")),
+    "an interval": edited("element/cell", lambda v: np.array(b"interval")),
+    "cells of another element": edited("element/cells", lambda v: v[:, :-1]),
+    "too many nodes": edited("element/cells", lambda v: np.column_stack([v, v])),
+    "two nodes": edited("element/cells", lambda v: v[:, :2]),
+    "a node out of range": edited("element/cells", lambda v: v + 5),
+    "a vertex twice": edited("element/cells", lambda v: np.where(np.arange(v.shape[1]) == 1, v[:, :1], v)),
+    "half the cells": edited("element/cells", lambda v: v[: len(v) // 2]),
+    "NaN in an element": edited("element/pressure", _nan),
 }
 
 
@@ -336,8 +332,13 @@ def test_a_problem_of_ones_own(folder):
     """Solution.read checks the same."""
     problem = Scene.read(DEMOS / "disk.toml").change({"mesh.cells": 4}).problem(COMM)
     assert isinstance(problem, ObstacleProblem)
-    problem.solve().save(folder)
-    Solution.read(folder)
+    found = problem.solve()
+    found.save(folder)
+    back = Solution.read(folder)
+    assert back.force == found.force and back.history == found.history and back.eps == found.eps
+    line, again = (one.along((-0.5, 0), (0.5, 0), n=33) for one in (found, back))
+    for name in ("u", "pressure", "gap", "slope"):
+        assert np.allclose(getattr(line, name), getattr(again, name), atol=1e-12), name
     on_root(COMM, lambda: (folder / "history.csv").open("a").write("\n") and None)
     with pytest.raises(InputError, match=r"history\.csv is not the file"):
         Solution.read(folder)

@@ -466,10 +466,11 @@ def truth(
     return u[CELLS // 2]
 
 
-# each begins and ends within one of the first steps, whose lengths only grow as long as u = 0
+# each begins and ends within one of the first steps, whose lengths only grow as long as u = 0, or is 0 at their ends
 PULSES = {
     "load": (0.6, 6, {"load": "where(abs(t - 0.525) < 0.02, -40, 0)"},
              {"load": lambda t: -40.0 * (abs(t - 0.525) < 0.02)}),
+    "oscillation": (0.35, 7, {"load": "-100*sin(40*pi*t)"}, {"load": lambda t: -100 * np.sin(40 * np.pi * t)}),
     "obstacle": (0.4, 4, {"lower": "-1 + where(abs(t - 0.33) < 0.02, 1.5, 0)*sin(pi*x)"},
                  {"lower": lambda x, t: -1 + 1.5 * (abs(t - 0.33) < 0.02) * np.sin(np.pi * x)}),
     "boundary value": (0.4, 4, {"boundary": [{"value": "max(0, 1 - abs(t - 0.33)/0.02)"}]},
@@ -490,16 +491,6 @@ def test_pulses(kind, scheme):
     assert answer.report["middle"] == pytest.approx(truth(end, **known), abs=10 * TOLERANCE)
     assert answer.record["time"]["shortened"] > 0
     assert "remarks" not in answer.record
-
-
-@pytest.mark.variant
-@pytest.mark.slow
-def test_oscillation():
-    """A load that is 0 at the ends of all first steps, whose length is its period."""
-    answer = solve(stepped(0.35, 7, load="-100*sin(40*pi*t)"))
-    assert answer.report["middle"] == pytest.approx(
-        truth(0.35, load=lambda t: -100 * np.sin(40 * np.pi * t)), abs=6 * TOLERANCE
-    )
 
 
 @pytest.mark.variant

@@ -11,7 +11,6 @@ import sys
 import zipfile
 import zlib
 
-import h5py
 import numpy as np
 import pytest
 
@@ -26,6 +25,7 @@ from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, DEMOS, slow_except
 from tests.helpers import LAUNCHER, run
 from tests.processes import launch
+from tests.test_saved import ELSEWHERE, edited, moved
 
 pytestmark = pytest.mark.serial
 
@@ -154,28 +154,6 @@ def _xdmf(folder, quadrilaterals):
         file.write_mesh(found)
 
 
-def _damage(kind, folder):
-    with h5py.File(folder / "a.h5", "a") as file:
-        group = file["Mesh/mesh"]
-        name = "topology" if "vertex" in kind else "geometry"
-        values = group[name][()]
-        del group[name]
-        if kind == "a link":
-            with h5py.File(folder / "b.h5", "w") as other:
-                other["x"] = values
-            group[name] = h5py.ExternalLink("b.h5", "x")
-        elif kind == "another file":
-            (folder / "raw").write_bytes(values.tobytes())
-            external = [(str(folder / "raw"), 0, h5py.h5f.UNLIMITED)]
-            group.create_dataset(name, values.shape, values.dtype, external=external)
-        elif kind == "virtual":
-            group.create_virtual_dataset(name, h5py.VirtualLayout(values.shape, values.dtype))
-        elif kind == "a claim":
-            group.create_dataset(name, (10**11, 2), "f8", chunks=(10**5, 2))
-        else:
-            group[name] = {"a vertex": values + 3, "a vertex below 0": values - 1, "NaN": values * np.nan}[kind]
-
-
 SOLVE = """
 import sys
 from fenicsx_obstacle import InputError, Scene, solve
@@ -186,7 +164,12 @@ for kind in sys.argv[2:]:
     except InputError:
         print("rejected")
 """
-DAMAGE = ("a link", "another file", "virtual", "a claim", "a vertex", "a vertex below 0", "NaN")
+DAMAGE = {
+    **{kind: moved(kind, "Mesh/mesh/geometry", "a.h5") for kind in ELSEWHERE},
+    "a vertex": edited("Mesh/mesh/topology", lambda values: values + 3, "a.h5"),
+    "a vertex below 0": edited("Mesh/mesh/topology", lambda values: values - 1, "a.h5"),
+    "NaN": edited("Mesh/mesh/geometry", lambda values: values * np.nan, "a.h5"),
+}
 
 
 @pytest.mark.parametrize("quadrilaterals", slow_except([False, True], False))
@@ -196,7 +179,7 @@ def test_meshes_in_hdf5_are_checked(quadrilaterals, tmp_path):
         (tmp_path / kind).mkdir()
         _xdmf(tmp_path / kind, quadrilaterals)
         if kind != "none":
-            _damage(kind, tmp_path / kind)
+            DAMAGE[kind](tmp_path / kind)
     command = ["timeout", "60", sys.executable, "-c", SOLVE, "Q1" if quadrilaterals else "P1", "none", *DAMAGE]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["solved"] + ["rejected"] * len(DAMAGE), done.stderr

@@ -14,11 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -29,9 +26,10 @@ sys.path[:0] = [str(HERE), str(HERE.parents[1])]
 from differences import Difference, agreed, differences, expanded, shortened  # noqa: E402
 
 from fenicsx_obstacle.launcher import environment, mpirun  # noqa: E402
+from tests.processes import records  # noqa: E402
 
 BASELINE = HERE / "baseline"
-SILENCE = 1000  # seconds without a result after which the ranks are ended
+SILENCE = 1000.0  # seconds without a result after which the ranks are ended
 ALWAYS = {"NUMPY_MADVISE_HUGEPAGE": "0", "COLUMNS": "120", "TERM": "dumb"}  # what memory and words depend on
 Results = dict[str, dict[str, Any]]
 
@@ -39,43 +37,23 @@ Results = dict[str, dict[str, Any]]
 def results(code: Path, ranks: int, only: str) -> Results:
     """Run the cases with the package of a checkout: name and values of each."""
     python = next((path for path in [code / ".venv" / "bin" / "python"] if path.exists()), Path(sys.executable))
-    launch = mpirun(ranks) if ranks > 1 else []
     given = {**environment(), **ALWAYS, "PYTHONPATH": str(code)}  # first: the package of this checkout
     found: Results = {}
     with tempfile.TemporaryDirectory(prefix="golden") as scratch:
-        out, skip = Path(scratch) / "results.jsonl", Path(scratch) / "skip"
-        out.touch()
+        work = [*(mpirun(ranks) if ranks > 1 else []), str(python), str(HERE / "worker.py"), scratch, only]
         for _ in range(20):  # a case that hangs or crashes is left out, and the others continue
-            skip.write_text("\n".join(found))
-            work = [*launch, str(python), str(HERE / "worker.py"), str(out), str(skip), only]
-            with open(Path(scratch) / "errors", "w") as errors:
-                process = subprocess.Popen(work, cwd=scratch, env=given, stdout=errors,
-                                           stderr=errors, start_new_session=True)  # fmt: skip
-                status = _wait(process, out)
-            found = {line["name"]: line["values"] for line in map(json.loads, out.read_text().splitlines())}
-            if status == 0:
-                return found
-            started = (Path(scratch) / "started").read_text() if (Path(scratch) / "started").exists() else "?"
-            last = Path(scratch, "errors").read_text().strip()[-3000:]
-            print(f"{ranks} ranks: {started} ended the run (status {status}):\n{last}", file=sys.stderr)
-            if started in found or started == "?":
-                raise SystemExit("no result could be computed")
-            with open(out, "a") as file:
-                file.write(json.dumps({"name": started, "values": {"died": f"status {status}"}}) + "\n")
-            found[started] = {"died": f"status {status}"}
+            started = None
+            for line in records(work, given, SILENCE, json.dumps(list(found))):
+                if "last" in line:
+                    return found
+                started = line.get("begins")
+                if started is None:
+                    found[line["name"]] = line["values"]
+            if started is None:
+                raise SystemExit(f"no result could be computed: {' '.join(work)}")
+            print(f"{ranks} ranks: {started} ended the run, or did not end", file=sys.stderr)
+            found[started] = {"died": "took the process down, or did not end"}
     raise SystemExit("too many cases died")
-
-
-def _wait(process: subprocess.Popen[bytes], out: Path) -> int:
-    """Wait while lines come; end the process after a long silence."""
-    size, since = -1, time.monotonic()
-    while process.poll() is None:
-        time.sleep(0.2)
-        if out.stat().st_size != size:
-            size, since = out.stat().st_size, time.monotonic()
-        elif time.monotonic() - since > SILENCE:
-            os.killpg(process.pid, 9)
-    return process.wait()
 
 
 def record(code: Path, ranks: int, only: str, repeats: int) -> None:

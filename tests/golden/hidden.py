@@ -30,37 +30,29 @@ def discrete_levels(problem: ObstacleProblem) -> list[Any]:
 
     The one place that knows internal names. Each item has A, weights, fixed, and what `fingerprint` asks.
     """
-    try:
-        from fenicsx_obstacle.algebra.options import SolverOptions
-        from fenicsx_obstacle.discrete.hierarchy import levels_of
+    from fenicsx_obstacle.algebra.options import SolverOptions  # which another version may have elsewhere
+    from fenicsx_obstacle.discrete.hierarchy import levels_of
 
-        return list(levels_of(problem._problem, SolverOptions()).systems)
-    except (ImportError, AttributeError) as error:
-        raise RuntimeError(f"golden: the levels of an ObstacleProblem have other names now; adapt "
-                           f"tests/golden/hidden.py: {error}") from error  # fmt: skip
+    return list(levels_of(problem._problem, SolverOptions()).systems)
 
 
 def fingerprint(problem: Any) -> dict[str, Any]:
     """Norms of A, f, D and the bounds of a discrete problem at its cold start (collective)."""
-    try:
-        problem.set_reference(problem.cold_start())
-        state = problem.vector()
-        A = problem.jacobian(state, penalised=False)
-        residual = problem.law.vector()
-        problem.residual(state, residual, penalised=False)
-        bounds = {
-            side: [float(gap[abs(gap) < 1e100].sum())]
-            for side, gap in (("below", problem.below), ("above", problem.above)) if gap is not None
-        }  # fmt: skip
-        return {
-            "size": A.getSize()[0], "A": plain([A.norm(PETSc.NormType.FROBENIUS), A.norm(PETSc.NormType.INFINITY)]),
-            "f": plain([residual.norm(), residual.norm(PETSc.NormType.NORM_1)]), "fixed": int(problem.fixed.sum()),
-            "D": plain([float(problem.weights.sum()), float(np.linalg.norm(problem.weights))]),
-            **{side: plain(values) for side, values in bounds.items()},
-        }  # fmt: skip
-    except AttributeError as error:
-        raise RuntimeError(f"golden: a discrete problem has other names now; adapt tests/golden/hidden.py: {error}"
-                           ) from error  # fmt: skip
+    problem.set_reference(problem.cold_start())
+    state = problem.vector()
+    A = problem.jacobian(state, penalised=False)
+    residual = problem.law.vector()
+    problem.residual(state, residual, penalised=False)
+    bounds = {
+        side: [float(gap[abs(gap) < 1e100].sum())]
+        for side, gap in (("below", problem.below), ("above", problem.above)) if gap is not None
+    }  # fmt: skip
+    return {
+        "size": A.getSize()[0], "A": plain([A.norm(PETSc.NormType.FROBENIUS), A.norm(PETSc.NormType.INFINITY)]),
+        "f": plain([residual.norm(), residual.norm(PETSc.NormType.NORM_1)]), "fixed": int(problem.fixed.sum()),
+        "D": plain([float(problem.weights.sum()), float(np.linalg.norm(problem.weights))]),
+        **{side: plain(values) for side, values in bounds.items()},
+    }  # fmt: skip
 
 
 def levels(name: str, make: Callable[[], ObstacleProblem]) -> None:
@@ -241,13 +233,8 @@ def many_ranks() -> None:
     def _(folder: Path) -> Values:
         own = dmesh.create_unit_square(MPI.COMM_SELF, 6, 6)
         found = solve(Scene(mesh=own, tension=1, load=-9, lower=-0.1))
-        return plain_record(found)
-
-
-def plain_record(found: Any) -> Values:
-    """Main values of a solution on one rank."""
-    return {"energy": plain(found.energy), "area": plain(found.area), "force": plain(found.force.lower),
-            "steps": found.iterations}  # fmt: skip
+        return {"energy": plain(found.energy), "area": plain(found.area), "force": plain(found.force.lower),
+                "steps": found.iterations}  # fmt: skip
 
 
 def memory() -> None:

@@ -1,4 +1,7 @@
-"""Runs the cases on the ranks of this process: worker.py RESULTS SKIP PATTERN."""
+"""Runs the cases on the ranks of this process, and prints a JSON line for each: worker.py FOLDER PATTERN.
+
+Standard input has the names of cases to leave out.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import gc
 import json
 import os
 import sys
-import threading
 import traceback
 import warnings
 from fnmatch import fnmatch
@@ -14,10 +16,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-PATIENCE = 900.0  # seconds for one case, on a busy machine
-
 
 def main() -> None:
+    os.chdir(sys.argv[1])  # before PETSc looks for its options there
+
     import petsc4py
 
     petsc4py.init(["golden"])
@@ -30,21 +32,22 @@ def main() -> None:
     from mpi4py import MPI
     from petsc4py import PETSc
 
-    comm, out, only = MPI.COMM_WORLD.Dup(), Path(sys.argv[1]), sys.argv[3]
-    done = set(Path(sys.argv[2]).read_text().splitlines())
+    comm, scratch, only = MPI.COMM_WORLD.Dup(), Path.cwd(), sys.argv[2]
+
+    def tell(record: cases.Values) -> None:
+        if comm.rank == 0:
+            print(json.dumps(record), file=sys.__stdout__, flush=True)
+
+    done = comm.bcast(json.loads(sys.stdin.read() or "[]") if comm.rank == 0 else None)
     warnings.simplefilter("ignore")
-    scratch = Path.cwd()
     for one in cases.CASES.values():
         if comm.size not in one.ranks or one.name in done or not fnmatch(one.name, only):
             continue
         folder = scratch / f"{one.name.replace('/', '-')}"
+        tell({"begins": one.name})
         if comm.rank == 0:
-            (scratch / "started").write_text(one.name)
             folder.mkdir(exist_ok=True)
         comm.Barrier()
-        watch = threading.Timer(PATIENCE, lambda: os._exit(86))
-        watch.daemon = True
-        watch.start()
         values: cases.Values
         try:
             values = dict(one.run(folder))
@@ -52,16 +55,15 @@ def main() -> None:
             values = {"error": f"{type(error).__name__}: {error}"}
             if not type(error).__module__.startswith("fenicsx_obstacle"):
                 traceback.print_exc()
-        watch.cancel()
         every = comm.gather({field: cases.placeless(value, folder) for field, value in values.items()})
         if every is not None:
             failed = [values["error"] for values in every if "error" in values]
             if failed and len(failed) < comm.size:
                 values = {"error": failed[0], "ranks_failed": len(failed)}
-            with open(out, "a") as file:
-                file.write(json.dumps({"name": one.name, "values": values}) + "\n")
+            tell({"name": one.name, "values": values})
         gc.collect()
         PETSc.garbage_cleanup(comm)
+    tell({"last": True})
 
 
 if __name__ == "__main__":

@@ -1,19 +1,28 @@
-"""Stability of a pair (V_h, I, Q_h): the constants of (3.18), (4.7) and of the dual norm, and the kernel of I."""
+"""Stability of a pair (V_h, I, Q_h): the constants of (3.18), (4.7) and of the dual norm, and the kernel of I.
+
+A form b with matrix B, a norm with matrix H on its columns and one with matrix N on its rows:
+
+    inf over q of sup over v of b(q, v) / (||v||_H ||q||_N) = sqrt(lambda),    B H^-1 B^T q = lambda N q.
+
+Each rank has all matrices, and finds the same values by LAPACK.
+"""
 
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
-from petsc4py import PETSc
+from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.check.reference import gathered_matrix
 from fenicsx_obstacle.discrete.assembly import weights_of_cells
 from fenicsx_obstacle.forms.pairs import Pair
-from tests.theory.singular_values import ratios, spectrum
 
 RICHER = 2  # degrees above V_h of the space that stands for H^1_0
 ZERO = 1e-10  # singular values below, relative to the largest, belong to the kernel
@@ -47,11 +56,11 @@ class Stability:
 
         Unit: length, or dimensionless on a domain of size 1.
         """
-        return float(spectrum(self._seen(self._I), self._H, self._norm)[0])
+        return float(singular_values(self._I[self._inside], self._H, self._norm)[0])
 
     def alpha_hat(self) -> float:
         """The same with (q, v) in place of I(q, v), as (4.7) has it."""
-        return float(spectrum(self._seen(self._duality), self._H, self._norm)[0])
+        return float(singular_values(self._duality[self._inside], self._H, self._norm)[0])
 
     def beta(self, *, rich: bool = False) -> float:
         """The constant of the dual norm, sup_v I(q, v)/||v||_1 >= beta_h ||q||_1*, for the same q; dimensionless.
@@ -60,23 +69,26 @@ class Stability:
             rich: ||q||_1* = sup (q, w)/||w||_1 with w from a space `RICHER` degrees above V_h, for H^1_0 itself;
                 otherwise from V_h.
         """
-        dual = (self._seen(self._duality), self._H)
+        c, K = self._duality[self._inside], self._H
         if rich:
             W = releases.functionspace(self.mesh, "Lagrange", self.pair.degree + RICHER)
             free = _interior(W)
-            dual = (self._seen(_part(_matrix(self._q * ufl.TrialFunction(W) * ufl.dx), None, free)), _gram(W, free))
-        return float(spectrum(self._seen(self._I), self._H, dual)[0])
+            c = _matrix(self._q * ufl.TrialFunction(W) * ufl.dx)[self._inside][:, free]
+            K = _gram(W, free)
+        dual = c @ splu(K.tocsc()).solve(c.T.toarray())
+        return float(singular_values(self._I[self._inside], self._H, dual)[0])
 
     def equivalence(self) -> tuple[float, float]:
         """Range of I(q, q)/||q||_0^2 over all of Q_h, (3.21) and (3.28)."""
-        return ratios(self._lumped, self._M)
+        values = linalg.eigvalsh(self._lumped.toarray(), self._M.toarray())
+        return float(values[0]), float(values[-1])
 
     def spectrum(self) -> np.ndarray:
         """Singular values of I between V_h and all of Q_h, ascending, one for each pressure.
 
         The first is alpha_h of (3.18) to the letter, for all of Q_h.
         """
-        return spectrum(self._I, self._H, self._M)
+        return singular_values(self._I, self._H, self._M.toarray())
 
     def kernel(self) -> tuple[int, float]:
         """Dimension of {q in Q_h: I(q, v) = 0 for all v}, and the smallest singular value that is not zero."""
@@ -86,82 +98,77 @@ class Stability:
 
     def consistency(self) -> float:
         """How far I is from exact on V_h: largest |I(1, v) - (1, v)| of basis functions over the largest (1, v)."""
-        one, lumped, true = self._I.createVecLeft(), self._I.createVecRight(), self._duality.createVecRight()
-        one.set(1.0)
-        self._I.multTranspose(one, lumped)
-        self._duality.multTranspose(one, true)
-        scale = true.norm(PETSc.NormType.INFINITY)
-        lumped.axpy(-1.0, true)
-        return float(lumped.norm(PETSc.NormType.INFINITY) / scale)
+        lumped, true = (np.asarray(one.sum(axis=0)) for one in (self._I, self._duality))
+        return float(np.abs(lumped - true).max() / np.abs(true).max())
 
     @cached_property
-    def _H(self) -> PETSc.Mat:
+    def _H(self) -> Any:
         return _gram(self.V, self._free)
 
     @cached_property
-    def _I(self) -> PETSc.Mat:
+    def _I(self) -> Any:
         """I(q, v), rows of all of Q_h."""
         if self.pair.own_weights:
-            return _part(self._lumped, None, self._free)
-        return _part(_matrix(self._q * ufl.TrialFunction(self.V) * self.rule.on(ufl.dx)), None, self._free)
+            return self._lumped[:, self._free]
+        return _matrix(self._q * ufl.TrialFunction(self.V) * self.rule.on(ufl.dx))[:, self._free]
 
     @cached_property
-    def _duality(self) -> PETSc.Mat:
+    def _duality(self) -> Any:
         """(q, v), rows of all of Q_h."""
-        return _part(_matrix(self._q * ufl.TrialFunction(self.V) * ufl.dx), None, self._free)
+        return _matrix(self._q * ufl.TrialFunction(self.V) * ufl.dx)[:, self._free]
 
     @cached_property
-    def _M(self) -> PETSc.Mat:
+    def _M(self) -> Any:
         """(q, r) on all of Q_h."""
         return _matrix(self._q * ufl.TrialFunction(self.Q) * ufl.dx)
 
     @cached_property
-    def _norm(self) -> PETSc.Mat:
-        return _part(self._M, self._inside, self._inside)
+    def _norm(self) -> np.ndarray:
+        return np.asarray(self._M[self._inside][:, self._inside].toarray())
 
     @cached_property
-    def _lumped(self) -> PETSc.Mat:
+    def _lumped(self) -> Any:
         """I(q, r) on all of Q_h."""
-        D = _matrix(self._q * ufl.TrialFunction(self.Q) * self.rule.on(ufl.dx))
         if self.pair.own_weights:
-            weights = D.getDiagonal()
-            weights.array[:] = weights_of_cells(self.pair, self.V)
-            D.setDiagonal(weights)
-        return D
-
-    def _seen(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Rows of the nodes inside: those on the boundary V_h does not see."""
-        return _part(A, self._inside)
+            own = weights_of_cells(self.pair, self.V)
+            return sparse.diags(np.concatenate(self.mesh.comm.allgather(own))).tocsr()
+        return _matrix(self._q * ufl.TrialFunction(self.Q) * self.rule.on(ufl.dx))
 
 
-def _matrix(form: ufl.Form) -> PETSc.Mat:
+def singular_values(B: Any, H: Any, N: np.ndarray) -> np.ndarray:
+    """All singular values of B, ascending, one for each row, those of the kernel to round-off.
+
+    Args:
+        B: Sparse matrix of the form.
+        H: Sparse matrix of the norm on the columns.
+        N: Of the norm on the rows.
+    """
+    right = linalg.solve_triangular(linalg.cholesky(H.toarray(), lower=True), B.toarray().T, lower=True)
+    both = linalg.solve_triangular(linalg.cholesky(N, lower=True), right.T, lower=True)
+    values = linalg.svdvals(both)[::-1]
+    # rows beyond the number of columns are in the kernel
+    return np.concatenate([np.zeros(B.shape[0] - len(values)), values])
+
+
+def _matrix(form: ufl.Form) -> Any:
+    """The sparse matrix of a form, on every rank (collective)."""
     compiled = releases.form(form)
     A = fem.petsc.create_matrix(compiled)
     fem.petsc.assemble_matrix(A, compiled)
     A.assemble()
-    return A
+    return A.comm.tompi4py().bcast(gathered_matrix(A))
 
 
-def _gram(V: fem.FunctionSpace, free: PETSc.IS) -> PETSc.Mat:
+def _gram(V: fem.FunctionSpace, free: np.ndarray) -> Any:
     """The full H1 product of functions that are zero on the boundary."""
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    return _part(_matrix((ufl.inner(ufl.grad(u), ufl.grad(v)) + u * v) * ufl.dx), free, free)
+    return _matrix((ufl.inner(ufl.grad(u), ufl.grad(v)) + u * v) * ufl.dx)[free][:, free]
 
 
-def _interior(V: fem.FunctionSpace) -> PETSc.IS:
-    """Global numbers of owned dofs that are not on the boundary."""
+def _interior(V: fem.FunctionSpace) -> np.ndarray:
+    """Whether dofs are not on the boundary: those of all ranks, in their order (collective)."""
     mesh, index_map = V.mesh, V.dofmap.index_map
     facets = dmesh.exterior_facet_indices(mesh.topology)
     inside = np.ones(index_map.size_local + index_map.num_ghosts, dtype=bool)
     inside[fem.locate_dofs_topological(V, mesh.topology.dim - 1, facets)] = False
-    own = index_map.local_range[0] + np.flatnonzero(inside[: index_map.size_local])
-    return PETSc.IS().createGeneral(own.astype(PETSc.IntType), comm=mesh.comm)
-
-
-def _part(A: PETSc.Mat, rows: PETSc.IS | None, columns: PETSc.IS | None = None) -> PETSc.Mat:
-    """Rows and columns of a matrix, None for all."""
-
-    def chosen(these: PETSc.IS | None, ends: tuple[int, int]) -> PETSc.IS:
-        return PETSc.IS().createStride(ends[1] - ends[0], ends[0], 1, comm=A.comm) if these is None else these
-
-    return A.createSubMatrix(chosen(rows, A.getOwnershipRange()), chosen(columns, A.getOwnershipRangeColumn()))
+    return np.concatenate(mesh.comm.allgather(inside[: index_map.size_local]))

@@ -64,10 +64,10 @@ def _silent() -> Iterator[Fault]:
     """Traps for solvers, on one rank and on three."""
     for ranks in (1, 3):
         command = launch_module(ranks, "tests.hard.unsolvable")
-        last = time.perf_counter()
+        last, record = time.perf_counter(), dict[str, Any]()
         for record in records(command, environment(), 60.0):
             wrong = "" if record["held"] else record["said"]
             yield Fault(f"{record['name']}, on {ranks}", wrong, time.perf_counter() - last)
             last = time.perf_counter()
         if not record.get("last"):
-            yield Fault(f"after {record['name']}, on {ranks}", "took the process down, or did not end", 0.0)
+            yield Fault(f"after {record.get('name')}, on {ranks}", "took the process down, or did not end", 0.0)

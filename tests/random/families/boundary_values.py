@@ -32,28 +32,29 @@ class DirichletData(Family):
     Attributes:
         mesh: The table [mesh].
         options: Of `solve`.
+        effects: Besides a tension of 1.
         boundary: As in [[boundary]].
-        torn: Whether no u of finite energy takes the values.
-        corner: Whether the values jump between two tables.
+        expected: What comes of `options`; without them there is an answer.
+        flaw: Why no bound is certified; empty where one may be.
     """
 
     mesh: dict[str, Any]
     options: dict[str, Any]
+    effects: dict[str, Any]
     boundary: tuple[dict[str, Any], ...]
-    torn: bool
-    corner: bool
+    expected: str
+    flaw: str
 
     name = "boundary values"
 
     def scene(self) -> Scene:
-        return Scene(mesh=self.mesh, tension=1, boundary=self.boundary)
+        return Scene(mesh=self.mesh, tension=1, boundary=self.boundary, **self.effects)
 
     def judge(self, judgement: Judgement) -> None:
         judgement.solve(self.scene, ANSWER, element=self.options["element"])
-        expected = EITHER if self.corner else INPUT_ERROR if self.torn else ANSWER
-        answer = judgement.solve(self.scene, expected, **self.options)
-        if answer is not None and self.torn:
-            judgement.not_certified(answer, "the boundary values jump")
+        answer = judgement.solve(self.scene, self.expected, **self.options)
+        if answer is not None and self.flaw:
+            judgement.not_certified(answer, self.flaw)
 
 
 @st.composite
@@ -70,38 +71,17 @@ def jumps(draw: st.DrawFn) -> DirichletData:
         boundary = [{"value": value}]
         if s != "(0.6*x + 0.8*y)" and draw(st.booleans()):
             boundary = [{"on": "bottom" if s == "x" else "left", "value": value}]
-    return DirichletData(draw(grids()), draw(bounds()), tuple(boundary), kind != "kink", kind == "corner")
+    # no u of finite energy takes values that jump
+    expected = {"corner": EITHER, "kink": ANSWER, "jump": INPUT_ERROR}[kind]
+    return DirichletData(draw(grids()), draw(bounds()), {}, tuple(boundary), expected,
+                         "" if kind == "kink" else "the boundary values jump")  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Ends(Family):
-    """A part of the boundary where u is given ends inside a facet, so that another part is held on each mesh.
-
-    Attributes:
-        mesh: The table [mesh].
-        options: Of `solve`.
-        where: The part.
-        held: Whether u is given on the right or the left side as well.
-    """
-
-    mesh: dict[str, Any]
-    options: dict[str, Any]
-    where: str
-    held: str
+class Ends(DirichletData):
+    """A part of the boundary where u is given ends inside a facet, so that another part is held on each mesh."""
 
     name = "ends of boundary parts"
-
-    def scene(self) -> Scene:
-        boundary = [{"where": self.where, "value": 0}]
-        if self.held:
-            boundary.append({"on": self.held, "value": 0})
-        return Scene(mesh=self.mesh, tension=1, load=-1, boundary=boundary)
-
-    def judge(self, judgement: Judgement) -> None:
-        judgement.solve(self.scene, ANSWER, element=self.options["element"])
-        answer = judgement.solve(self.scene, EITHER, **self.options)
-        if answer is not None:
-            judgement.not_certified(answer, "a part of the boundary ends inside a facet")
 
 
 @st.composite
@@ -116,5 +96,7 @@ def ends(draw: st.DrawFn) -> Ends:
     d = (1 + share) / cells if cells % 2 == 0 else (1.5 + 0.9 * share) / cells
     options = draw(bounds())
     text = draw(st.sampled_from(FREE_ENDS)).format(c=repr(c), d=repr(d))
-    held = draw(st.sampled_from(["", "right" if "x == 0" in text else "left"]))
-    return Ends(mesh, options, text, held)
+    boundary: list[dict[str, Any]] = [{"where": text, "value": 0}]
+    if draw(st.booleans()):
+        boundary.append({"on": "right" if "x == 0" in text else "left", "value": 0})
+    return Ends(mesh, options, {"load": -1.0}, tuple(boundary), EITHER, "a part of the boundary ends inside a facet")

@@ -95,10 +95,12 @@ class Unheld(Family):
 def unheld(draw: st.DrawFn) -> Unheld:
     """Loads that press, mostly."""
     mesh = dict(draw(st.sampled_from(SHAPES)))
-    options = {"method": draw(st.sampled_from(["penalty", "penalty", "vi", "successive"]))}
+    options: dict[str, Any] = {"method": draw(st.sampled_from(["penalty", "penalty", "vi", "successive"]))}
     if mesh["shape"] == "rectangle" and "cell" not in mesh and draw(st.booleans()):
         options["element"] = "P2"
     tension, load, height = draw(power(-3, 3)), draw(power(-3, 3)), draw(power(-3, 2))
+    if options["method"] != "vi" and draw(st.booleans()):
+        options["eps"] = draw(st.sampled_from([1e-2, 1e-4, 1e-6])) / tension
     feeble: dict[str, float] = {}
     if draw(st.booleans()):
         feeble[draw(st.sampled_from(["foundation", "spring"]))] = draw(power(-18, -9)) * load / height
