@@ -25,13 +25,11 @@ from fenicsx_obstacle import (
     solve,
     study,
 )
-from fenicsx_obstacle.answers.bodies import _nodes_across
 from fenicsx_obstacle.answers.profiles import profiles_of
-from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
-from fenicsx_obstacle.show.render import EYE, axes_of_view
+from fenicsx_obstacle.show.render import axes_of_view
 from fenicsx_obstacle.show.report import report_answer
 from tests.conftest import CLEAN, COMM, DEMOS, slow_except
 
@@ -372,20 +370,6 @@ def test_the_last_moment_is_shown_as_it_is():
 
 
 @pytest.mark.slow
-def test_force_over_travel_of_a_sphere():
-    """Hertz's law: the force grows like travel^(3/2), within 2 % of the order and of the force."""
-    scene = Scene.read(DEMOS / "hertz_sphere.toml")
-    raw = {"sphere": "R", "centre": [0, "R"], "travel": "0.05*t", "moves": [0, -1]}
-    boundary = [*({"on": on, "value": value} for on, value in (("axis", [0, "free"]), ("bottom", ["free", 0]))),
-                {"on": "contact", "obstacle": raw}]  # fmt: skip
-    history = solve(scene.change({"boundary": boundary, "time": {"end": 1, "steps": 4}})).time_history
-    force, travel = history.column("force")[1:], history.column("approach")[1:]
-    orders = np.diff(np.log(force)) / np.diff(np.log(travel))
-    assert np.allclose(travel, 0.05 * np.arange(1, 5) / 4) and np.allclose(orders, 1.5, rtol=0.02)
-    assert np.allclose(force, 4 / 3 * np.sqrt(20) * travel**1.5, rtol=0.02)
-
-
-@pytest.mark.slow
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
     scene = block(4, report={"pushed": "integral(p, 'top')", "up": "min(u_y)", "most": "max(von_mises)"})
@@ -606,23 +590,6 @@ def test_contact_narrower_than_the_cells(folder):
     assert np.isclose(fine["contact"]["half_width"], hertz, rtol=0.2) and "remarks" not in fine
 
 
-@pytest.mark.serial
-@pytest.mark.parametrize(
-    ("count", "places"),
-    [
-        (1, [(0.0,)]), (2, [(0.2,), (0.2 + 1e-9,)]), (2, [(-0.1,), (0.2,)]), (3, [(-0.1,), (0.0,), (0.1,)]),
-        (3, [(0.0,), (0.1,)]), (4, [(0.05,), (0.15,)]), (2, [(0.2,)]),
-        (3, [(0, 0), (0.1, 0), (-0.1, 0), (0, 0.1), (0, -0.1)]), (1, [(0, 0), (0.1, 0), (-0.1, 0)]),
-        (3, [(0, 0), (0.1, 0), (0, 0.1)]),
-    ],
-)  # fmt: skip
-def test_nodes_across_a_contact(count, places):
-    """In the direction where they are fewest; those of one half or one quarter with their mirror images."""
-    places = np.array(places, dtype=float)
-    arms = np.insert(places, places.shape[1], 0.0, axis=1)
-    assert _nodes_across(arms, np.full(len(arms), 0.01), places.shape[1]) == count
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("element", "method"), [("P1", "penalty"), ("P2", "vi"), ("Q2", "penalty")])
 def test_separate_contacts(element, method):
@@ -723,21 +690,3 @@ def test_the_pressure_is_seen_on_its_facets(face, element, cell):
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert np.allclose(corners[..., axis], sign > 0) and np.isclose(areas.sum(), 1)
     assert np.allclose(np.abs(arrays["pressure"][facets]), 0.01, rtol=1e-3)
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_eye_is_where_most_of_the_forces_are(side):
-    """Normals point to an upper obstacle and away from a lower one. A force of 3 on a face outweighs one of 2 on the
-    opposite one; without contact the larger part of the boundary counts; a contact from above has the usual view."""
-    for axis in range(3):
-        for sign in (1, -1):
-            outwards = sign * np.array([np.eye(3)[axis], -np.eye(3)[axis]])
-            for pressure, areas in (([-3.0, -2.0], [1e-9, 1e-9]), ([0.0, 0.0], [3.0, 2.0])):
-                nodes = ContactTable(
-                    np.zeros((2, 3)), side * outwards, np.array(areas), side * np.array(pressure), np.ones(2)
-                )
-                assert sign * axes_of_view(eye_of(nodes, [side]))[2, axis] > 0.4
-    assert eye_of(nodes, [side])[1] == -EYE[1]
-    above = ContactTable(np.zeros((1, 3)), np.array([[0, 0, side]]), np.ones(1), np.array([-side]), np.zeros(1))
-    assert eye_of(above, [side]) == EYE
