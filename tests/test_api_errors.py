@@ -115,19 +115,6 @@ def test_constants_for_numbers():
     assert largest(COMM, np.abs(without[0] - without[1])) < 1e-15 and largest(COMM, without[0]) > 0.05
 
 
-@pytest.mark.parametrize(("scale", "cells"), [(1.0, 12), (1e6, 12), (1e-6, 8)])
-def test_automatic_eps(scale, cells):
-    """eps = "auto" follows the units of F: a hundredth of the median of D_i/A_ii, h^2/400 here over the tension."""
-    own = Own(square(cells))
-    F, energy = (scale * form for form in (own.F, own.energy))
-    for given in ({}, {"energy": energy}):
-        own.u.x.array[:] = 0.0
-        answer = ObstacleProblem(F, own.u, bcs=own.bc, upper=0.3, **given).solve(eps="auto")
-        assert answer.eps == pytest.approx(1 / cells**2 / 400 / scale, rel=1e-9)
-        assert answer.penetration < 8 * scale * answer.eps * (1 + 1e-9)
-        assert answer.penetration < 0.01 * 0.3
-
-
 def test_obstacles_that_cannot_be_taken():
     """Each message names the argument and the remedy, on all ranks together; nothing ends the process."""
     own, other = Own(), square(5)
@@ -492,24 +479,6 @@ def test_conditions_on_components_of_nodes(dim):
         ObstacleProblem(F, u, bcs=[bc], upper=0.0, of=u[0], measure=ufl.ds)
 
 
-WRONG_OPTIONS = {
-    r"SolverOptions: eps = 0: must be positive and finite": {"eps": 0},
-    r"SolverOptions: eps = -h: must be positive and finite": {"eps": EpsFormula("-h", lambda h: -h)},
-    r"SolverOptions: eps = nan: is nan": {"eps": float("nan")},
-    r"SolverOptions: eps = 'h\^2': expected a number, an EpsFormula or 'auto'": {"eps": "h^2"},
-    r"SolverOptions: eps = None: expected a number, an EpsFormula or 'auto'": {"eps": None},
-    r"SolverOptions: method = 'Newton': expected penalty, successive or vi": {"method": "Newton"},
-    r"SolverOptions: start = 'warm': expected nested or cold": {"start": "warm"},
-}
-
-
-@pytest.mark.parametrize("message", WRONG_OPTIONS)
-def test_values_are_checked(message):
-    """What fits no key is refused, with the values that do."""
-    with pytest.raises(InputError, match=message):
-        SolverOptions(**WRONG_OPTIONS[message])
-
-
 def test_eps_of_options():
     """A number is absolute; a formula in h is divided by the largest tension, alike from a scene and without one."""
     scene = membrane(upper=0.1, tension=4, define={"c": 2}).change({"mesh.cells": 8, "solve.eps": "c*h^2"})
@@ -538,11 +507,3 @@ def test_answers_say_their_options():
         assert answer.scene.tables == answer.scene.change({}).tables
         assert answer.scene.change({}).options == options
         assert answer.record["element"] == "P2" == answer.scene.tables.solve.element
-
-
-def test_a_new_number_checks_no_scene(monkeypatch):
-    """Another eps or method makes no scene anew."""
-    context = SolverContext(membrane(upper=0.1, load=8).change({"mesh.cells": 8}), COMM)
-    monkeypatch.setattr(Scene, "_fill", None)
-    for method in ("penalty", "vi"):
-        assert context.answer(replace(context.scene.options, method=method, eps=1e-3)).record["converged"]

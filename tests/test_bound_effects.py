@@ -187,14 +187,6 @@ def test_a_tolerance_is_reached(name, tol):
     assert answer.record["errors"]["energy"] <= tol * answer.bound.total / answer.bound.relative
 
 
-def test_a_part_that_ends_inside_an_edge():
-    """A flux whose `where` ends between two vertices: an indicator."""
-    scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension=1, load=1,
-                  boundary=[{"on": "left", "value": 0}, {"where": "x > 1 - 1e-9 and y < 0.55", "flux": 1}])  # fmt: skip
-    bound = solve(scene, bound=True).bound
-    assert not bound.guaranteed and "is not made of whole edges" in bound.words
-
-
 @pytest.mark.parametrize("at", [0.37, 0.501, 0.5 + 1e-12])
 def test_point_load_inside_a_cell(at):
     """The nodal values are exact, and the bound is the error of the cell, F (h t (1 - t)/tension)^(1/2)."""
@@ -416,9 +408,3 @@ def test_what_is_certified(tension, words):
     found = bound(tension)
     assert words in found.words
     assert (found.words == CERTIFIED) == (words == "")
-
-
-def test_callables():
-    """A callable is known at its samples only."""
-    found = bound([[lambda x: 1 + x[0] ** 2, 0], [0, 1]])
-    assert found.words == f"{CERTIFIED} for the sampled tension"

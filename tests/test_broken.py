@@ -3,7 +3,6 @@
 A share of what `./obstacle hard --broken` tries, on the ranks of this session.
 """
 
-import os
 import re
 import shutil
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from tests.cli.broken.case import LIMIT, Broken, complaint, time_limit
+from tests.cli.broken.case import Broken, complaint, time_limit
 from tests.cli.broken.collection import RIGHT, collect, make_meshes
 from tests.cli.broken.files import contradictions
 from tests.cli.broken.inside import attempt
@@ -115,12 +114,3 @@ def scene_with(folder, changed):
     file = folder / "scene.toml"
     file.write_text(scene_text({**LINES, **changed}))
     return file
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(("load", "seconds"), [(0.5, LIMIT), (4.0, LIMIT), (12.0, 3 * LIMIT)])
-def test_a_busy_machine_has_more_time(load, seconds, monkeypatch):
-    """Four processes of the suite on two cores have the same time whatever they are, others make it longer."""
-    monkeypatch.setattr(os, "getloadavg", lambda: (load, 0.0, 0.0))
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    assert time_limit(4) == seconds

@@ -14,7 +14,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
-from tests.hard.units import CONVERSIONS, Units, all_units
+from tests.hard.units import CONVERSIONS
 from tests.helpers import run, square_with_a_wire
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
@@ -591,80 +591,6 @@ def test_an_effect_is_a_file_named_as_its_key(table):
         assert effect.key == key and effect.__module__.endswith(f".{key}")
         assert issubclass(effect, OnPart) == (table == "boundary")
         assert key in CONVERSIONS or effect.vector_valued
-
-
-MOVING = """
-from __future__ import annotations
-
-import re
-from dataclasses import dataclass
-from fenicsx_obstacle.effects.effect import Effect, register
-
-@register
-@dataclass(frozen=True)
-class Moving(Effect):
-    speed: float = 0.0
-
-    key = "moving_load"
-    equation = "moving_load(x - speed t)"
-    term = "- int moving_load(x - speed t) v"
-    role = "load"
-
-    @classmethod
-    def read(cls, raw, place, reader, **more):
-        given = reader.table(raw, place, ("force", "speed"))
-        speed = reader.number(given["speed"], f"{place}.speed")
-        force = re.sub(r"\\bx\\b", f"(x - {speed!r}*t)", str(given["force"])) if speed else given["force"]
-        return cls(reader.field(force, f"{place}.force"), speed)
-
-    def conflict(self, effects):
-        rival = [effect.key for effect in effects if effect.order > 1]
-        return f"{self.key} does not go with {rival[0]}" if rival else None
-
-    def terms(self, u, v, data):
-        return -data.cellwise(self.value) * v * data.dx
-
-    def energy(self, u, data):
-        return -data.cellwise(self.value) * u * data.dx
-"""
-
-
-@pytest.fixture
-def moving_load(tmp_path, monkeypatch):
-    """A load that travels, from a file."""
-
-    def in_units(raw, units, dim):
-        force = CONVERSIONS["load"](raw["force"], units, dim)
-        return {"force": force, "speed": units.scaled(raw["speed"], units.length)}
-
-    (tmp_path / "moving.py").write_text(MOVING)
-    load_plugin(tmp_path / "moving.py")
-    monkeypatch.setitem(CONVERSIONS, "moving_load", in_units)
-    yield
-    del _register["moving_load"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("moving_load")
-def test_one_class_is_a_whole_effect():
-    """What others ask of an effect, its class answers: values, weights of a pair's own, conflicts."""
-    force = "-8*sin(pi*x)"
-    still, load = (membrane(lower=-0.1, **one) for one in (
-        {"moving_load": {"force": force, "speed": 0}}, {"load": force}))  # fmt: skip
-    for element in ("P1", "P1-voronoi"):  # Voronoi areas are for loads per area
-        mine, theirs = (solve(scene, element=element).record for scene in (still, load))
-        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-9)
-    assert len(all_units(still, 1.0)) == 7
-    there = Units("there", length=4.0, height=8.0, force=2.0)
-    energy = solve(there.of(still)).record["energy"] / (there.force * there.height**2)
-    assert energy == pytest.approx(solve(still).record["energy"], rel=1e-9)
-    with pytest.raises(InputError, match="moving_load does not go with inertia"):
-        membrane(moving_load={"force": 1, "speed": 1}, inertia=1)
-    moving = membrane(moving_load={"force": "-8*exp(-30*(x - 0.2)^2)", "speed": 0.6}, lower=-0.1,
-                      time={"end": 1, "steps": 2})  # fmt: skip
-    record = solve(moving).record  # from the left to where it would be from the right
-    there = membrane(load="-8*exp(-30*(x - 0.8)^2)", lower=-0.1)
-    assert record["energy"] == pytest.approx(solve(there).record["energy"])
 
 
 _U = "x*sin(pi*y)"  # 0 on three sides: boundary values take no part in the bound
