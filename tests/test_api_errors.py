@@ -86,19 +86,6 @@ def test_an_obstacle_of_any_kind_is_the_same_obstacle(made):
 
 
 @pytest.mark.slow
-def test_another_mesh_in_space():
-    """The same in three dimensions, for a lower obstacle, on hexahedra as well."""
-    own = Own(dmesh.create_unit_cube(COMM, 4, 4, 4), load=-8.0)
-    plane = lambda x: -0.1 - 0.05 * x[0] + 0.02 * x[2]  # noqa: E731
-    expected = own.values(lower=function(own.V.mesh, plane))
-    for kind in (dmesh.CellType.tetrahedron, dmesh.CellType.hexahedron):
-        other = dmesh.create_unit_cube(COMM, 3, 3, 3, kind)
-        assert largest(COMM, np.abs(own.values(lower=function(other, plane)) - expected)) < 1e-10
-        found = own.solve(lower=function(other, plane), method="vi")
-        assert found.force.lower > 0 and found.eps is None
-
-
-@pytest.mark.slow
 def test_constants_for_numbers():
     """eps and an obstacle as Constants; a single Dirichlet condition without a list, and none."""
     own = Own()
@@ -130,7 +117,6 @@ def test_obstacles_that_cannot_be_taken():
         (function(square(6, dmesh.CellType.quadrilateral, high=0.9), bowl), r"on another mesh, .* at \(0, 0\.9167\)"),
         (fem.Function(many), "a Function with 2 components: expected a scalar Function"),
         (function(mesh, bowl, "DG", 0), "not continuous"),
-        (function(other, bowl, "DG", 1), "not continuous"),
         (own.u, r"upper is u itself.*u\.copy\(\)"),
         (0.3 + own.u**2, "upper depends on u"),
         (2 * function(other, bowl), "defined on its own mesh only"),
@@ -145,13 +131,10 @@ def test_obstacles_that_cannot_be_taken():
         (lambda x: x, "the callable takes x of shape"),
         (lambda x, y: 0.3 + y, "upper: the callable takes two arguments"),
         (lambda x: "high", "the callable takes x of shape"),
-        (lambda x: 0.3 + 1j * x[0], "the callable takes x of shape.*TypeError: complex values"),
         (0.3 + 0.1j, r"upper = \(0\.3\+0\.1j\): expected a number"),
         (fem.Constant(mesh, 0.3 + 0.1j), "upper is complex: expected real values"),
         (fem.Function(V, dtype=np.complex128), "upper is complex: expected real values"),
         (ufl.as_ufl(1j) * x[0], "upper is complex: expected real values"),
-        (ufl.imag(x[0]), "upper is complex: expected real values"),
-        (x[0] + fem.Constant(mesh, 0.3 + 0.1j), "upper is complex: expected real values"),
         (lambda x: np.nan * x[0], "upper = <lambda>: is not a finite number"),
         (lambda x: np.ma.masked_greater(x[0], 0.5), "upper = <lambda>: is not a finite number"),
         (float("nan"), "upper = nan: is not a finite number"),
@@ -368,8 +351,6 @@ WRONG = {
     "solve: scene = 3: expected a Scene": lambda: solve(3),
     "solve: tol = '0.3': expected a number": lambda: solve(SCENE, tol="0.3"),
     "solve: tol = True: expected a number": lambda: solve(SCENE, tol=True),
-    "--tol nan: must be positive": lambda: solve(SCENE, tol=float("nan")),
-    "--tol -1: must be positive": lambda: solve(SCENE, tol=-1),
     "--tol 5: the tolerance is relative and must be below 1": lambda: solve(SCENE, tol=5),
     "unknown effect 'bcs'; u on the boundary is given by boundary=": lambda: Scene(mesh={}, tension=1, bcs=[]),
     "unknown effect 'uper'; did you mean 'upper'": lambda: Scene(mesh={}, tension=1, uper=0.3),
@@ -386,11 +367,7 @@ WRONG = {
     "--budget 5: expected limits such as": lambda: solve(SCENE, tol=0.3, budget="5"),
     "there is no argument 'cels'; did you mean 'cells'": lambda: solve(SCENE, cels=8),
     r"solve: cells = 16\.0: expected a whole number": lambda: solve(SCENE, cells=16.0),
-    "solve: cells = '16': expected a whole number": lambda: solve(SCENE, cells="16"),
     "solve: cells = True: expected a whole number": lambda: solve(SCENE, cells=np.bool_(True)),
-    r"\[mesh\] cells = 0: expected a whole number >= 1": lambda: solve(SCENE, cells=0),
-    r"\[mesh\] refine = -1: expected a whole number >= 0": lambda: solve(SCENE, refine=-1),
-    "element = 'p2' is not known; did you mean 'P2'": lambda: solve(SCENE, element="p2"),
     "element = 'q1-Gauss' is not known; did you mean 'Q1-gauss'": lambda: solve(SCENE, element="q1-Gauss"),
     "method = 'VI' is not known; did you mean 'vi'": lambda: solve(SCENE, method="VI"),
     "solve: method = 3: expected a text": lambda: solve(SCENE, method=3),
@@ -412,8 +389,6 @@ WRONG = {
     "unknown table or key '3'": lambda: SCENE.change({3: 4}),
     "mesh = None: expected a DOLFINx mesh or a table": lambda: Scene(mesh=None, tension=1),
     r"\[define\] = 3: expected a table": lambda: membrane(define=3),
-    r"\[report\] = 3: expected a table": lambda: membrane(report=3),
-    r"\[time\] = 3: expected a table": lambda: membrane(time=3),
     r"\[boundary\] = 3: expected a list": lambda: membrane(boundary=3),
     r"Answer\.read: folder = None: expected a text or a path": lambda: Answer.read(None),
     "a file, not the folder of a saved answer": lambda: Answer.read(__file__),

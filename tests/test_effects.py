@@ -37,26 +37,7 @@ def orders(scene, method, cells=(32, 64), **how):
     return {key: order(key, rows[1], rows[0], "h") for key in ("l2", "h1")}
 
 
-def check_orders(scene, method, **how):
-    """H1 error of order 1, L2 error of order 2, as for the membrane alone (5.6)."""
-    seen = orders(scene, method, **how)
-    assert abs(seen["l2"] - 2) < 0.06 and abs(seen["h1"] - 1) < 0.02, seen
-
-
 SMOOTH = "sin(x)*cosh(y) + x^2"  # -Laplace u = -2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_flux_and_springs(method):
-    """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone, on meshes
-    on which the error of the membrane is the larger one."""
-    parts = [
-        {"on": ["left", "bottom"], "value": SMOOTH},
-        {"on": "right", "flux": "2*(cos(x)*cosh(y) + 2*x)"},
-        {"where": "y > 1 - 1e-9", "spring": "1 + x", "flux": f"2*sin(x)*sinh(y) + (1 + x)*({SMOOTH})"},
-    ]
-    check_orders(above(SMOOTH, "-4", tension=2, boundary=parts), method, cells=(64, 128))
 
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2", "Q1", "Q2"], "P2"))
@@ -94,15 +75,6 @@ def wire(folder):
     parts = [{"on": "sides", "value": 0}, {"on": "wire", "flux": 2, "spring": 4}]
     raw = {"mesh": {"file": square_with_a_wire(folder), "refine": 1}, "tension": 1, "boundary": parts}
     return Scene(**raw, exact="where(x < 0.5, x, 1 - x)/2")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_load_and_springs_along_a_curve_inside(wire, method):
-    """[du/dn] = 2 - 4 u at x = 1/2: u = x/2 up to there, linear, hence exact; and a ceiling that it does not reach."""
-    record = solve(wire.change({"obstacle.upper": 1}), method=method).record
-    assert record["errors"]["max"] < 1e-9
-    assert record["contact"]["area"] == 0
 
 
 def test_the_last_of_several_parts_counts():
@@ -298,38 +270,6 @@ def test_demo_wall():
 
 
 RADIAL = {"mesh": {"shape": "interval"}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}
-
-
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-@pytest.mark.slow
-def test_disk_as_an_interval(method, disk):
-    """A disk under a flat ceiling by its radius: orders of the membrane, force and area of two dimensions."""
-    tables = disk.change({"define.a": 0.5}).tables
-    scene = membrane(**RADIAL, load="f", upper="c", exact=tables.exact.u, define=dict(tables.define))
-    rows = [solve(scene, method=method, cells=n).record for n in (40, 80)]
-    errors = [{"h": row["h"], **row["errors"]} for row in rows]
-    assert abs(order("l2", errors[1], errors[0], "h") - 2) < 0.1
-    assert abs(order("h1", errors[1], errors[0], "h") - 1) < 0.02
-    assert np.isclose(rows[1]["contact"]["upper"]["force"], 4 * 0.5**2 / 2, rtol=5e-3)
-    if method == "vi":
-        return
-    flat = membrane(mesh={"shape": "disk", "cells": 64}, load="f", upper="c", define=dict(tables.define))
-    plane = solve(flat, method=method).record
-    for key in ("area", "upper"):
-        ours, theirs = rows[1]["contact"][key], plane["contact"][key]
-        ours, theirs = (one["force"] if key == "upper" else one for one in (ours, theirs))
-        assert np.isclose(2 * np.pi * ours, theirs, rtol=0.03)
-
-
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_meridian_of_a_body(method):
-    """In the plane of a meridian, with flux, springs and a foundation: -(1/x) div(x grad u) = f - u."""
-    u = "y^2 - x^2/2"
-    parts = [{"on": ["bottom", "top"], "value": u}, {"on": "right", "flux": f"-1 + 2*({u})", "spring": 2}]
-    scene = membrane(load=u, axial_symmetry=True, foundation=1, boundary=parts, exact=u, lower=-9)
-    rows = [solve(scene, method=method, cells=n).record["errors"] for n in (16, 32)]
-    seen = {key: np.log2(rows[0][key] / rows[1][key]) for key in ("l2", "h1")}
-    assert abs(seen["l2"] - 2) < 0.06 and abs(seen["h1"] - 1) < 0.02, seen
 
 
 def test_demo_drum():
