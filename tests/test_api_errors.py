@@ -335,16 +335,6 @@ def _written(folder):
     return folder / "s.toml"
 
 
-def test_folders_for_answers(folder):
-    """compare takes answers and the folders of saved ones."""
-    a = solve(membrane(load=8, upper=0.3), cells=8)
-    a.save(folder / "a")
-    assert compare(a, folder / "a")["u"]["max"] < 1e-14
-    assert compare(str(folder / "a"), a)["contact"]["jaccard"] == 1
-    with pytest.raises(InputError, match="nothing: holds no saved answer"):
-        compare(folder / "nothing", a)
-
-
 SCENE = membrane(load=8, upper=0.3).change({"mesh.cells": 4})
 WRONG = {
     "solve: scene = None: expected a Scene, a file": lambda: solve(None),

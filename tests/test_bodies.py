@@ -161,23 +161,6 @@ def test_a_rod_on_a_spring(element, spring):
     assert np.allclose(solve(scene).at(x), exact, atol=1e-10 * q)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("cell", "element"), slow_except([("triangle", "P2"), ("tetrahedron", "P1")], ("triangle", "P2"))
-)
-def test_contact_on_springs(cell, element):
-    """A block on springs k below a plane that is too low by d: p = d/(1/k + 1/E) with Poisson's ratio 0, to 1e-9."""
-    up = 1 if cell == "triangle" else 2
-    down, law = [0] * up + [-1], {"young": 1, "poisson": 0, **({"plane": "strain"} if up == 1 else {})}
-    bottom, top = (("bottom", "top"), ("back", "front"))[up - 1]
-    obstacle = {"plane": down, "at": [0] * up + [0.99]}
-    parts = [{"on": bottom, "spring": 4}, {"on": top, "obstacle": obstacle}, ROLLERS[0] if up == 1 else CORNER[0]]
-    parts += [] if up == 1 else [CORNER[1]]
-    scene = Scene(mesh={"shape": "rectangle" if up == 1 else "box", "cells": 3}, elasticity=law, boundary=parts)
-    nodes = solve(scene.change({"mesh.cell": cell, "solve.element": element}), method="vi").nodes
-    assert np.allclose(nodes.pressure, 0.01 / (1 / 4 + 1), rtol=1e-9)
-
-
 def resultant(kind, obstacle, **more):
     """Of the contact forces on a square, or on a cube, below an obstacle."""
     if kind == "plane":
@@ -216,15 +199,6 @@ def test_a_node_of_two_obstacles_has_the_nearer_one():
     inner["obstacle"] = {**inner["obstacle"], "force": 0.01, "moves": [0, -1]}
     outer["obstacle"]["at"] = [0, 0.9995]
     assert np.isclose(solve(block(8, [*ROLLERS, inner, outer])).force.lower, 0.01, rtol=1e-6)
-
-
-def test_beside_a_cylinder_there_is_no_obstacle():
-    """A layer that is pulled up past a small cylinder touches it in the middle only."""
-    small = {"on": "top", "obstacle": {"cylinder": 0.25, "centre": [0, 1.26]}}
-    answer = solve(block(8, [*ROLLERS, small], load=[0, 0.1]))
-    touching = answer.nodes.points[answer.nodes.pressure > 0, 0]
-    assert len(touching) and touching.max() < 0.25
-    assert np.isinf(answer.nodes.gap[answer.nodes.points[:, 0] > 0.26]).all()
 
 
 def test_a_cylinder_that_has_moved_obliquely():
