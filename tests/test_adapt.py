@@ -45,15 +45,6 @@ def test_a_saved_tolerance_reads_back(folder):
     assert [mesh.dofs for mesh in again.adaptive.path][-1] == again.dofs == answer.dofs
 
 
-@pytest.mark.variant
-@pytest.mark.slow
-def test_reentrant_corner():
-    """L-shape: graded meshes reach an error of .099 of the bound's kind with a fraction of the uniform unknowns."""
-    record = solve(L_SHAPE, tol_absolute=0.099).record
-    assert record["adaptive"]["reached"] and record["errors"]["energy"] <= 0.099
-    assert record["dofs"] <= 2500
-
-
 @pytest.mark.slow
 def test_eps_is_lowered_until_the_mesh_decides():
     """The part of the penalty stays a fraction of the mesh's; an eps that the user gave is kept, and named."""

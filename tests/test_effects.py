@@ -314,22 +314,6 @@ def test_layers_have_no_wiggles(speed):
         assert largest(COMM, u[points < 1 - 1e-9]) <= 1e-12
 
 
-def test_demo_pollutant():
-    """0 <= u <= 1 under wind, sources and a sink: both methods agree, full and empty regions are reported."""
-    scene = Scene.read(DEMOS / "pollutant.toml")
-    text = " ".join(explain(scene).split())
-    assert "SUPG" in text and "GMRES" in text and "no energy" in text
-    scene = scene.change({"mesh.cells": 32, "solve.eps": 1e-8})
-    with closing(SolverContext(scene)) as context:
-        ours, theirs = (context.answer(scene.options_with(method=method)) for method in METHODS)
-    assert "GMRES" in ours.summary() and "Peclet" in ours.summary()
-    assert smallest(COMM, theirs.u.x.array) >= 0 and largest(COMM, theirs.u.x.array) <= 1
-    assert largest(COMM, np.abs(ours.u.x.array - theirs.u.x.array)) < 1e-6
-    for side in ("lower", "upper"):
-        assert ours.record["contact"][side]["force"] > 0.1
-    assert ours.record["energy"] is None
-
-
 def without_tension(scene, **effects):
     """The scene with another elastic effect in place of tension."""
     rest = {key: value for key, value in scene.tables.effects.items() if key != "tension"}
@@ -559,28 +543,22 @@ MISTAKES = [
     ({"boundary": [{"value": 0}, {"on": "left", "flux": 1}]}, r"\(no. 2\) flux has no effect .* given, by no. 1"),
     ({"boundary": [LEFT, {"on": "right", "spring": "0.5 - y"}]}, "must be at least 0; it is"),
     ({"boundary": [{"on": "left"}]}, "the key 'value' is missing, or flux, spring"),
-    ({"boundary": [{"on": "left", "flux": 1}]}, "u is given nowhere"),
     ({"soft_obstacle": 1}, "expected a table of stiffness, lower, upper"),
     ({"soft_obstacle": {"stiffness": 1}}, "needs lower or upper"),
     ({"soft_obstacle": {"lower": 1}}, "the key 'stiffness' is missing"),
-    ({"soft_obstacle": {"stiffness": 1, "lover": 1}}, "unknown key 'lover'"),
     ({"soft_obstacle": {"stiffness": 1, "lower": 0, "eps": 1}}, "unknown key 'eps'"),
-    ({"soft_obstacle": {"stiffness": 1, "lower": "q"}}, "unknown name 'q'"),
     ({"foundation": "x - 0.5"}, "must be at least 0"),
     ({"foundation": 1, "element": "P1-voronoi"}, "P1-voronoi is for tension and load, not for foundation"),
     ({"tension": [[1, 0.5], [0.4, 1]]}, r"tension: is not symmetric; entries differ by 0.1"),
     ({"tension": [[1, "2*x"], ["2*x", 1]]}, "must be positive definite; its least eigenvalue is -0"),
     ({"tension": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "a matrix of 3 rows, but points have 2 coordinates"),
     ({"tension": [[1, 0], [0]]}, "expected 2 rows of 2"),
-    ({"tension": [[1, "q"], ["q", 1]]}, "unknown name 'q'"),
     ({"tension": CLOTH, "element": "P2", "bound": True}, "isotropic tension"),
     ({"tension": CLOTH, "report": {"F": "integral(normal_flux, 'left')"}}, "flux needs an isotropic tension"),
     ({"point_load": [{"at": [2, 2], "force": 1}]}, r"the point \(2, 2\) is outside the mesh"),
     ({"point_load": [{"at": [0.5], "force": 1}]}, "a point needs 2 coordinates here, not 1"),
-    ({"point_load": [{"at": [0.5, 0.5]}]}, "the key 'force' is missing"),
     ({"point_load": [{"at": [0, 0], "force": 1, "radius": 1}]}, "unknown key 'radius' .known: at"),
     ({"point_load": 3}, "expected a list such as"),
-    ({"point_load": [{"at": [0.5, "x"], "force": 1}]}, "unknown name 'x'"),
     ({"point_load": POINT, "element": "P2"}, "is for element P1"),
     ({"point_load": POINT, "bound": True}, "does not cover point loads, whose energy is infinite"),
     ({"lower": -1, "boundary": [FREE]}, "these exclude each other"),
@@ -595,18 +573,11 @@ MISTAKES = [
     ({**RADIAL, "report": {"F": "integral(normal_flux, 'right')"}}, "not for axial symmetry"),
     ({"drift": 1}, "expected a list of one number or formula per coordinate"),
     ({"drift": [1]}, "has 1 components, but points have 2 coordinates"),
-    ({"drift": [1, "q"]}, "unknown name 'q'"),
     ({"large_slope": 1}, "names tension and large_slope: only one of them is allowed"),
     ({"large_slope": 1, "drift": [1, 0], "tension": None}, "drift can only be combined with tension, not with large_s"),
     ({"power_law": {"exponent": 3}}, "names tension and power_law: only one of them is allowed"),
-    ({"power_law": {"exponent": 3}, "large_slope": 1, "tension": None}, "only one of them is allowed"),
-    (
-        {"power_law": {"exponent": 3, "n": 3}, "tension": None},
-        "unknown key 'n' .known: exponent, coefficient, regularisation",
-    ),
     ({"power_law": {"exponent": 4}, "tension": None}, "must be between 1 and 4, which are excluded: .*ObstacleProblem"),
     ({"power_law": {"exponent": 3, "regularisation": 0}, "tension": None}, "must be positive"),
-    ({"large_slope": "x - 0.5", "tension": None}, "must be positive"),
     ({"large_slope": 1, "tension": None, "element": "P2", "bound": True}, "the error bound needs the effect 'tension'"),
 ]
 

@@ -320,8 +320,6 @@ def _complex(body):
         (lambda body, other: {"measure": -body.x[0] * body.ds(3)}, "its weight is negative"),
         (lambda body, other: {"stress": body.u}, "stress = .*: expected a tensor in UFL with three rows"),
         (lambda body, other: {"measure": other.ds(3)}, "measure is of another mesh than u: take domain="),
-        (lambda body, other: {"measure": 2.0 * other.ds(3)}, "measure is of another mesh than u"),
-        (lambda body, other: {"measure": wrongly_tagged(body, other)}, "measure: subdomain_data: these MeshTags"),
         (lambda body, other: {"measure": 2.0 * wrongly_tagged(body, other)}, "measure: subdomain_data: these MeshTags"),
         (lambda body, other: {"measure": other.x[0] * ufl.Measure("ds", domain=body.mesh)}, "the factor of measure"),
         (lambda body, other: {"of": ufl.dot(body.u, ufl.FacetNormal(other.mesh))}, "of holds a FacetNormal"),
