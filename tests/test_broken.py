@@ -18,8 +18,7 @@ from tests.cli.broken.files import contradictions
 from tests.cli.broken.inside import attempt
 from tests.cli.broken.lines import LINES, scene_text
 from tests.cli.broken.options import RESULT
-from tests.cli.broken.run import _alone
-from tests.conftest import CLEAN, COMM
+from tests.conftest import COMM
 
 FILES = re.compile(r"(scene|mesh) file: |.* torn at ")  # that no message describes further, and that take long to read
 
@@ -66,22 +65,6 @@ def test_cases_of_each_kind(folder):
     cases = [case for case in of_each_kind(everything) if case.name not in known]
     assert len(everything) > 900 and len(cases) > 250
     assert not complaints(cases, folder)
-
-
-PETSC = Broken("a type that is not there", ["nonsense", "--"], ("solve", "string_wedge", "--output", "."),
-               petsc=("-penalty_ksp_type", "nonsense"))  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-@pytest.mark.parametrize("ranks", [1, 3])
-def test_a_process_of_its_own(ranks, tmp_path):
-    """PETSc's options are read once a process; what is wrong once the mesh is there has one message, too."""
-    negative = next(case for case in contradictions() if "negative in places" in case.name)
-    for number, case in enumerate((PETSC, negative)):
-        tried = _alone(tmp_path, case, number, ranks, CLEAN)
-        assert all(word in tried.said for word in case.names)
-        assert tried.complaint is None or tried.complaint.startswith("took")  # on a busy machine
 
 
 def test_complaints(tmp_path):

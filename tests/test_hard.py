@@ -146,30 +146,16 @@ def answers_of(scene, *epsilons):
     return found
 
 
-def at_some_node(s, value):
-    """An array with a value at one node of one rank that is free and not in contact."""
-    g = s.ground
-    mine = np.flatnonzero(g.free & (s.below > 0.1))
-    first = COMM.allgather(len(mine) > 0).index(True)
-    array = np.zeros(len(s.p))
-    if COMM.rank == first:
-        array[mine[0]] = value
-    return array
-
-
 def pressed(s, factor):
     """An answer in balance with another pressure."""
     return replace(s, p=factor * s.p, elastic=np.where(s.p != 0, factor * s.elastic, s.elastic))
 
 
+# the others of one answer are those of `verify`, whose test falsifies them
 WRONG_ALONE = {
-    "forces at nodes balance": lambda s: replace(s[1e-4], p=1.001 * s[1e-4].p),
     "loads, contact and edges balance": lambda s: replace(
         s[1e-4], elastic=s[1e-4].elastic + np.where(s[1e-4].ground.free, 0, 1e-6)
     ),
-    "no pressure without contact": lambda s: replace(s[None], p=s[None].p + at_some_node(s[None], 1e-3)),
-    "u between the obstacles": lambda s: replace(s[None], below=s[None].below - 1e-9),
-    "p = -(u - g)^+/eps": lambda s: replace(s[1e-4], p=(1 + 1e-9) * s[1e-4].p),
     "the lower obstacle never pulls": lambda s: replace(s[None], p=-s[None].p),
 }
 WRONG_BESIDE = {
