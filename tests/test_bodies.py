@@ -25,6 +25,7 @@ from fenicsx_obstacle import (
     solve,
     study,
 )
+from fenicsx_obstacle.answers.bodies import _nodes_across
 from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
@@ -555,6 +556,23 @@ def test_contact_narrower_than_the_cells(folder):
     fine = solve(scene.change({"mesh.cells": 24})).record
     hertz = np.sqrt(4 * 0.005 * 2 * (1 - 0.3**2) / np.pi)
     assert np.isclose(fine["contact"]["half_width"], hertz, rtol=0.2) and "remarks" not in fine
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("count", "places"),
+    [
+        (1, [(0.0,)]), (2, [(0.2,), (0.2 + 1e-9,)]), (2, [(-0.1,), (0.2,)]), (3, [(-0.1,), (0.0,), (0.1,)]),
+        (3, [(0.0,), (0.1,)]), (4, [(0.05,), (0.15,)]), (2, [(0.2,)]),
+        (3, [(0, 0), (0.1, 0), (-0.1, 0), (0, 0.1), (0, -0.1)]), (1, [(0, 0), (0.1, 0), (-0.1, 0)]),
+        (3, [(0, 0), (0.1, 0), (0, 0.1)]),
+    ],
+)  # fmt: skip
+def test_nodes_across_a_contact(count, places):
+    """In the direction where they are fewest; those of one half or one quarter with their mirror images."""
+    places = np.array(places, dtype=float)
+    arms = np.insert(places, places.shape[1], 0.0, axis=1)
+    assert _nodes_across(arms, np.full(len(arms), 0.01), places.shape[1]) == count
 
 
 @pytest.mark.slow

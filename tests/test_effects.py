@@ -113,8 +113,8 @@ def test_foundation_keeps_the_maximum_principle():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 def test_hard_ground_below_soft_ground(method):
-    """In contact it carries the load less what the soft obstacle takes: p = 1 - 50 (0.015 + eps p). The demo foam has no
-    hard ground."""
+    """In contact it carries the load less what the soft obstacle takes: p = 1 - 50 (0.015 + eps p). The demo foam has
+    no hard ground."""
     scene = membrane(mesh={"shape": "interval", "x": [-2, 2]}, load=-1, soft_obstacle={"lower": 0, "stiffness": 50},
                      lower=-0.015, boundary=[{"value": 0.1}], report={"middle": "at(p, 0)"})  # fmt: skip
     answer = solve(scene, method=method)
