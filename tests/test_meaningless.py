@@ -236,18 +236,6 @@ def test_contact_makes_a_nearly_singular_operator_regular():
     assert extremes(vi) == pytest.approx((0, 1), abs=1e-9)
 
 
-TRAPS = [(0.001, 20, 16, "P1"), (0.001, 20, 32, "P1"), (0.01, 5, 16, "Q1"), (0.05, 20, 16, "P1")]
-
-
-@pytest.mark.parametrize(("tension", "drift", "cells", "element"), TRAPS)
-def test_solutions_beyond_the_range_of_the_data_are_rejected(tension, drift, cells, element):
-    """With f >= 0 and u = 0 on the boundary no solution is negative."""
-    scene = Scene(mesh={"shape": "rectangle", "cells": cells}, tension=tension, load=1,
-                  drift=[f"{drift}*(x - 0.5)", f"{drift}*(y - 0.5)"])  # fmt: skip
-    with pytest.raises(NotConverged, match="which no solution does|" + UNDETERMINED):
-        solve(scene, element=element)
-
-
 TRAPPED = "the drift flows away from some places on all sides"
 CENTRE = ["20*(x - 0.5)", "20*(y - 0.5)"]
 SQUARES = {"shape": "rectangle", "cells": 16}
