@@ -8,13 +8,12 @@ import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.effects.effect import Effect, OnPart, _register, find, known, register
+from fenicsx_obstacle.effects.effect import Effect, _register, register
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
-from tests.hard.units import CONVERSIONS
 from tests.helpers import run, square_with_a_wire
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
@@ -491,16 +490,6 @@ def test_what_others_ask_is_the_role():
         assert solve(membrane(**scene, bed=2), bound=True).record["bound"] == known
     finally:
         del _register["bed"]
-
-
-@pytest.mark.parametrize("table", ["effects", "boundary"])
-def test_an_effect_is_a_file_named_as_its_key(table):
-    """Whatever a table can name is found by its name; of scalar u the data of each can be written in other units."""
-    for key in known(table):
-        effect = find(key)
-        assert effect.key == key and effect.__module__.endswith(f".{key}")
-        assert issubclass(effect, OnPart) == (table == "boundary")
-        assert key in CONVERSIONS or effect.vector_valued
 
 
 _U = "x*sin(pi*y)"  # 0 on three sides: boundary values take no part in the bound
