@@ -28,7 +28,7 @@ from fenicsx_obstacle import (
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import functionspace
 from tests.conftest import COMM, membrane
 from tests.helpers import Membrane
@@ -321,18 +321,10 @@ def test_unknowns_of_another_space(space):
 
 
 @pytest.mark.slow
-def test_names_and_files_for_scenes(folder):
-    """solve and study take a scene, its file, or its name in the catalogue."""
-    scene = Scene.read(on_root(COMM, _written, folder))
-    by_object, by_path, by_text = (solve(one, cells=8).record for one in (scene, folder / "s.toml", f"{folder}/s.toml"))
-    assert by_object["energy"] == by_path["energy"] == by_text["energy"]
+def test_names_of_scenes():
+    """solve and study take the name of a scene in the catalogue; test_verify.py has files."""
     assert solve("ball", cells=8).record["scene"] == "ball"
     assert [row["cells"] for row in study("ball", {"cells": [4, 8]})] == [4, 8]
-
-
-def _written(folder):
-    (folder / "s.toml").write_text(membrane(load=8, upper=0.3).toml())
-    return folder / "s.toml"
 
 
 SCENE = membrane(load=8, upper=0.3).change({"mesh.cells": 4})
