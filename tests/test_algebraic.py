@@ -11,12 +11,12 @@ from petsc4py import PETSc
 from fenicsx_obstacle import Scene, releases, solve
 from fenicsx_obstacle.algebra import coarse as coarse_module
 from fenicsx_obstacle.algebra import kernels
-from fenicsx_obstacle.algebra.coarse import COARSEST, CoarseSystem
+from fenicsx_obstacle.algebra.coarse import CoarseSystem
 from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete import hierarchy
 from fenicsx_obstacle.discrete.hierarchy import galerkin_systems
-from fenicsx_obstacle.parallel import largest, on_root, total
+from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from tests.conftest import COMM, ON_SEVERAL_RANKS, by_hand, slow_except
 from tests.helpers import cut, grid
@@ -100,20 +100,6 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
     assert newton[-1] - newton[0] <= 2
 
 
-@pytest.mark.slow
-def test_a_mesh_from_gmsh(folder):
-    """Delaunay triangles: few steps, and the error of the exact solution halves with h."""
-    errors = []
-    for size in (0.1, 0.05):
-        text = f'SetFactory("OpenCASCADE"); Rectangle(1) = {{-2, -2, 0, 4, 4}}; Mesh.MeshSizeMax = {size};\n'
-        on_root(COMM, (folder / f"{size}.geo").write_text, text)
-        answer = solve(Scene(mesh={"file": str(folder / f"{size}.geo")}, **BALL,
-                             exact=f"where(r < {R}, sqrt(1 - r^2), {BALL['boundary'][0]['value']})"))  # fmt: skip
-        assert counts(answer)[0] <= 6 and counts(answer)[1] <= 20
-        errors.append(answer.record["errors"]["energy"])
-    assert 1.7 < errors[0] / errors[1] < 2.4
-
-
 SCENES = {
     "ball": lambda: Scene(mesh=square(48), **BALL),
     "upper": lambda: Scene(mesh=square(48), tension=2, load=8, upper="0.5 + 0.2*x"),
@@ -166,25 +152,6 @@ def levels_of(mesh, **data):
     """The problem of a scene, and its algebraic levels from the finest on."""
     context = SolverContext(Scene(mesh=mesh, **{"tension": 1, "lower": -1, **data}))
     return context.problem, galerkin_systems(context.problem)[::-1]
-
-
-@pytest.mark.parametrize(("mesh", "dim"), [(lambda: interval(2000), 1), (lambda: square(60), 2), (lambda: cube(12), 3)])
-def test_interpolation_reproduces_linear_functions(mesh, dim):
-    """Constants at each node to round-off; linear functions at nearly all, and nowhere off by more than a few cells."""
-    problem, levels = levels_of(mesh())
-    x = problem.level.points.T[: problem.level.owned, :dim]
-    for coarse in levels:
-        transfer = coarse.finer.transfer
-        assert largest(COMM, np.abs(transfer.interpolate(np.ones(coarse.owned)) - 1)) < 1e-12
-        theirs = np.stack([transfer.inject(np.ascontiguousarray(axis)) for axis in x.T], axis=1)
-        found = np.stack([transfer.interpolate(np.ascontiguousarray(axis)) for axis in theirs.T], axis=1)
-        off = np.abs(found - x).max(axis=1, initial=0.0)
-        exact = total(COMM, np.count_nonzero(off < 1e-6)) / coarse.finer.dofs
-        assert exact > (0.85 if dim < 3 or coarse is levels[0] else 0.5)
-        spacing = 2 * (4.0 if dim == 2 else 2.0) / coarse.dofs ** (1 / dim)
-        assert largest(COMM, off) < spacing
-        x = theirs
-    assert total(COMM, len(x)) <= max(COARSEST.values())
 
 
 def test_given_values_are_interpolated_from_given_values():

@@ -1,14 +1,13 @@
 """Answers: figures, the saved folder, pictures."""
 
 import json
-import os
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import Answer, NotConverged, Scene, compare, solve, study
+from fenicsx_obstacle import NotConverged, Scene, compare, solve, study
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import on_root, total
 from tests.conftest import COMM, DEMOS, membrane
@@ -67,16 +66,6 @@ def test_pyvista_reads_what_is_at_rest(disk, folder):
     answer.save(folder / "answer")
     read = on_root(COMM, lambda: pyvista.read(folder / "answer" / "fields.xdmf").n_points)
     assert read == answer.dofs
-
-
-def test_saving_replaces_whole_folders(disk, folder):
-    """The old folder goes when the new one is whole; nothing else is left behind."""
-    for cells in (4, 8):
-        solve(disk, cells=cells).save(folder / "answer")
-        COMM.barrier()
-    assert Answer.read(folder / "answer").record["cells"] == 8
-    COMM.barrier()
-    assert os.listdir(folder) == ["answer"]
 
 
 @pytest.mark.slow

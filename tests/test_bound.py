@@ -122,24 +122,6 @@ def test_parts_tell_what_to_do():
         assert 0.8 < total(COMM, fine.indicator) / fine.total < 1.2
 
 
-@pytest.mark.slow
-def test_admissible_state_is_admissible():
-    """v_h is beyond the true obstacle nowhere, sampled at 192 points of each cell, and keeps the boundary values."""
-    for name in ("ball", "two_obstacle_square", "smooth_square", "cone"):
-        scene = scenes()[name]
-        context = SolverContext(scene)
-        v = context.answer(bound=True).bound.admissible.x.array
-        simplices, (points, _) = context.estimator.element.simplices, halved_rule(2)
-        for side, sign in (("lower", 1), ("upper", -1)):
-            text = getattr(scene.tables.obstacle, side)
-            if text is not None:
-                obstacle = simplices.values(scene.field(text, side), points)
-                gap = sign * (v[simplices.dofs] @ points.T - obstacle)
-                assert smallest(COMM, gap) > -ROUND_OFF
-        dofs, values = context.problem.data.fixed
-        assert largest(COMM, np.abs((v - values.x.array)[dofs])) < ROUND_OFF
-
-
 def test_given_values_stay_beside_a_boundary_obstacle():
     """v_h is above a concave obstacle on a side, by more than the obstacle at its nodes; not where u is given."""
     sides = [{"on": ["left", "bottom", "top"], "value": 0}, {"on": "right", "lower": "y*(1 - y)/2"}]

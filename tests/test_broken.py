@@ -3,7 +3,6 @@
 A share of what `./obstacle hard --broken` tries, on the ranks of this session.
 """
 
-import os
 import re
 import shutil
 from pathlib import Path
@@ -13,14 +12,13 @@ import pytest
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from tests.cli.broken.case import LIMIT, Broken, complaint, time_limit
+from tests.cli.broken.case import Broken, complaint, time_limit
 from tests.cli.broken.collection import RIGHT, collect, make_meshes
 from tests.cli.broken.files import contradictions
 from tests.cli.broken.inside import attempt
 from tests.cli.broken.lines import LINES, scene_text
 from tests.cli.broken.options import RESULT
-from tests.cli.broken.run import _alone
-from tests.conftest import CLEAN, COMM
+from tests.conftest import COMM
 
 FILES = re.compile(r"(scene|mesh) file: |.* torn at ")  # that no message describes further, and that take long to read
 
@@ -69,22 +67,6 @@ def test_cases_of_each_kind(folder):
     assert not complaints(cases, folder)
 
 
-PETSC = Broken("a type that is not there", ["nonsense", "--"], ("solve", "string_wedge", "--output", "."),
-               petsc=("-penalty_ksp_type", "nonsense"))  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-@pytest.mark.parametrize("ranks", [1, 3])
-def test_a_process_of_its_own(ranks, tmp_path):
-    """PETSc's options are read once a process; what is wrong once the mesh is there has one message, too."""
-    negative = next(case for case in contradictions() if "negative in places" in case.name)
-    for number, case in enumerate((PETSC, negative)):
-        tried = _alone(tmp_path, case, number, ranks, CLEAN)
-        assert all(word in tried.said for word in case.names)
-        assert tried.complaint is None or tried.complaint.startswith("took")  # on a busy machine
-
-
 def test_complaints(tmp_path):
     """What a refusal must not be."""
     case = Broken("none", ["scene.toml"])
@@ -115,12 +97,3 @@ def scene_with(folder, changed):
     file = folder / "scene.toml"
     file.write_text(scene_text({**LINES, **changed}))
     return file
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(("load", "seconds"), [(0.5, LIMIT), (4.0, LIMIT), (12.0, 3 * LIMIT)])
-def test_a_busy_machine_has_more_time(load, seconds, monkeypatch):
-    """Four processes of the suite on two cores have the same time whatever they are, others make it longer."""
-    monkeypatch.setattr(os, "getloadavg", lambda: (load, 0.0, 0.0))
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    assert time_limit(4) == seconds

@@ -14,12 +14,9 @@ from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.catalogue import changed
-from fenicsx_obstacle.show.figures import heading
 from fenicsx_obstacle.show.report import report_answer
-from fenicsx_obstacle.text import one_line
 from tests.cli.faults.kill import _session
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
-from tests.hard.suite import reason
 from tests.helpers import LAUNCHER
 
 HELD = {"mesh": {"shape": "rectangle", "cells": 4}, "tension": 1, "boundary": []}
@@ -84,14 +81,6 @@ def _with_bound(scene, folder):
     answer = solve(scene, bound=True, cells=4)
     answer.save(folder)
     return report_answer(answer, folder, picture=True)[1]
-
-
-def test_headings():
-    """Two lines at most, without formulas."""
-    assert heading("a $ b") == r"a \$ b"
-    assert heading("word " * 600).count("\n") == 1
-    assert len(heading("w" * 3000)) <= 2 * 64 + 1
-    assert one_line("a\n b\u202e\x00c") == "a b c"
 
 
 def test_errors_name_the_method_that_was_asked_for():
@@ -247,12 +236,3 @@ def test_signals_end_all_processes(ranks, number, tmp_path):
     while _session(process.pid) and time.monotonic() < deadline:  # helpers of mpirun end a moment later
         time.sleep(0.05)
     assert not _session(process.pid)
-
-
-@pytest.mark.serial
-def test_a_lost_process_says_why():
-    """mpirun's refusal of root names no error: its first words are the reason."""
-    said = "-" * 60 + "\nmpirun has detected an attempt to run as root.\n\nRunning as root is strongly discouraged\n"
-    assert reason(said).startswith("mpirun has detected an attempt to run as root. Running as root")
-    assert reason("noise\nValueError: no\nmore") == "ValueError: no"
-    assert len(reason("word " * 1000)) <= 300

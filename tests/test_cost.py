@@ -9,7 +9,7 @@ import pytest
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.adapt import Refinement
-from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
+from fenicsx_obstacle.answers.cloud import Cloud, Nearby
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
@@ -292,15 +292,6 @@ def test_points_outside_count_nothing():
         found, polygon = Nearby(zero, context.problem.level).norms(one), Distance(context.problem).l2(one.x.array)
     assert polygon**2 < 0.99 * cloud.weights.sum() and found["l2"] ** 2 == pytest.approx(polygon**2, rel=3e-3)
     assert found["max"] == pytest.approx(1) and found["energy"] < 1e-12
-
-
-def test_quadrilaterals():
-    """Their answers are taken as linear on cut cells, where nodal values stay."""
-    scene = Scene(mesh={"shape": "rectangle", "cells": 8, "cell": "quadrilateral"}, tension=1, **PRESSED)
-    with closing(SolverContext(scene, COMM)) as context:
-        answer = on_simplices(context.answer())
-        found = Nearby(Cloud.of(answer), answer.level).norms(answer.u)
-        assert max(found.values()) < 1e-14
 
 
 def test_round_trip(folder):

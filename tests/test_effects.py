@@ -8,13 +8,12 @@ import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.effects.effect import Effect, OnPart, _register, find, known, register
+from fenicsx_obstacle.effects.effect import Effect, _register, register
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
-from tests.hard.units import CONVERSIONS, Units, all_units
 from tests.helpers import run, square_with_a_wire
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
@@ -37,26 +36,7 @@ def orders(scene, method, cells=(32, 64), **how):
     return {key: order(key, rows[1], rows[0], "h") for key in ("l2", "h1")}
 
 
-def check_orders(scene, method, **how):
-    """H1 error of order 1, L2 error of order 2, as for the membrane alone (5.6)."""
-    seen = orders(scene, method, **how)
-    assert abs(seen["l2"] - 2) < 0.06 and abs(seen["h1"] - 1) < 0.02, seen
-
-
 SMOOTH = "sin(x)*cosh(y) + x^2"  # -Laplace u = -2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_flux_and_springs(method):
-    """tension du/dn = flux - spring u, by the name of a side and by a formula: orders of the membrane alone, on meshes
-    on which the error of the membrane is the larger one."""
-    parts = [
-        {"on": ["left", "bottom"], "value": SMOOTH},
-        {"on": "right", "flux": "2*(cos(x)*cosh(y) + 2*x)"},
-        {"where": "y > 1 - 1e-9", "spring": "1 + x", "flux": f"2*sin(x)*sinh(y) + (1 + x)*({SMOOTH})"},
-    ]
-    check_orders(above(SMOOTH, "-4", tension=2, boundary=parts), method, cells=(64, 128))
 
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2", "Q1", "Q2"], "P2"))
@@ -96,15 +76,6 @@ def wire(folder):
     return Scene(**raw, exact="where(x < 0.5, x, 1 - x)/2")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_load_and_springs_along_a_curve_inside(wire, method):
-    """[du/dn] = 2 - 4 u at x = 1/2: u = x/2 up to there, linear, hence exact; and a ceiling that it does not reach."""
-    record = solve(wire.change({"obstacle.upper": 1}), method=method).record
-    assert record["errors"]["max"] < 1e-9
-    assert record["contact"]["area"] == 0
-
-
 def test_the_last_of_several_parts_counts():
     """Facets named twice: the later flux, and the spring of another part beside it."""
     left = {"on": "left", "value": 0}
@@ -138,29 +109,15 @@ def test_foundation_keeps_the_maximum_principle():
     assert smallest(COMM, answer.u.x.array) >= 0 and largest(COMM, answer.u.x.array) <= 1
 
 
-STIFF, SINKS = 50, 0.6  # k, and where the string meets the soft ground
-_S = f"(1/sqrt({STIFF}))"
-SOFT = (
-    f"where(abs(x) < {SINKS}, -(1 - cosh(x/{_S})/cosh({SINKS}/{_S}))/{STIFF},"
-    f" (abs(x) - {SINKS})^2/2 + {_S}*tanh({SINKS}/{_S})*(abs(x) - {SINKS}))"
-)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-@pytest.mark.parametrize("hard", slow_except([-1, -0.015], -1))
-def test_string_on_soft_ground(method, hard):
-    """-u'' + k u^- = -1 in closed form: order 2; eps does not enter, and hard ground below it is another matter."""
-    scene = membrane(
-        mesh={"shape": "interval", "x": [-1, 1]}, load=-1, soft_obstacle={"lower": 0, "stiffness": STIFF}, lower=hard,
-        boundary=[{"value": SOFT}], exact=SOFT, report={"middle": "at(p, 0)"},
-    )  # fmt: skip
-    coarse, fine = (solve(scene, method=method, cells=n).record for n in (40, 80))
-    if hard == -1:
-        assert coarse["contact"]["area"] == 0
-        assert abs(np.log2(coarse["errors"]["l2"] / fine["errors"]["l2"]) - 2) < 0.1
-    else:  # in contact the ground carries the load less what the soft obstacle takes: 1 - 50*0.015
-        assert np.isclose(fine["report"]["middle"], 1 + STIFF * hard, rtol=1e-3)
+def test_hard_ground_below_soft_ground(method):
+    """In contact it carries the load less what the soft obstacle takes: p = 1 - 50 (0.015 + eps p). The demo foam has
+    no hard ground."""
+    scene = membrane(mesh={"shape": "interval", "x": [-2, 2]}, load=-1, soft_obstacle={"lower": 0, "stiffness": 50},
+                     lower=-0.015, boundary=[{"value": 0.1}], report={"middle": "at(p, 0)"})  # fmt: skip
+    answer = solve(scene, method=method)
+    assert np.isclose(answer.report["middle"] * (1 + 50 * (answer.eps or 0)), 1 - 50 * 0.015, rtol=1e-8)
 
 
 @pytest.mark.slow
@@ -300,38 +257,6 @@ def test_demo_wall():
 RADIAL = {"mesh": {"shape": "interval"}, "axial_symmetry": True, "boundary": [{"on": "right", "value": 0}]}
 
 
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-@pytest.mark.slow
-def test_disk_as_an_interval(method, disk):
-    """A disk under a flat ceiling by its radius: orders of the membrane, force and area of two dimensions."""
-    tables = disk.change({"define.a": 0.5}).tables
-    scene = membrane(**RADIAL, load="f", upper="c", exact=tables.exact.u, define=dict(tables.define))
-    rows = [solve(scene, method=method, cells=n).record for n in (40, 80)]
-    errors = [{"h": row["h"], **row["errors"]} for row in rows]
-    assert abs(order("l2", errors[1], errors[0], "h") - 2) < 0.1
-    assert abs(order("h1", errors[1], errors[0], "h") - 1) < 0.02
-    assert np.isclose(rows[1]["contact"]["upper"]["force"], 4 * 0.5**2 / 2, rtol=5e-3)
-    if method == "vi":
-        return
-    flat = membrane(mesh={"shape": "disk", "cells": 64}, load="f", upper="c", define=dict(tables.define))
-    plane = solve(flat, method=method).record
-    for key in ("area", "upper"):
-        ours, theirs = rows[1]["contact"][key], plane["contact"][key]
-        ours, theirs = (one["force"] if key == "upper" else one for one in (ours, theirs))
-        assert np.isclose(2 * np.pi * ours, theirs, rtol=0.03)
-
-
-@pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_meridian_of_a_body(method):
-    """In the plane of a meridian, with flux, springs and a foundation: -(1/x) div(x grad u) = f - u."""
-    u = "y^2 - x^2/2"
-    parts = [{"on": ["bottom", "top"], "value": u}, {"on": "right", "flux": f"-1 + 2*({u})", "spring": 2}]
-    scene = membrane(load=u, axial_symmetry=True, foundation=1, boundary=parts, exact=u, lower=-9)
-    rows = [solve(scene, method=method, cells=n).record["errors"] for n in (16, 32)]
-    seen = {key: np.log2(rows[0][key] / rows[1][key]) for key in ("l2", "h1")}
-    assert abs(seen["l2"] - 2) < 0.06 and abs(seen["h1"] - 1) < 0.02, seen
-
-
 def test_demo_drum():
     """A drum under a round ceiling: the force is that of the load within the contact, the radius from its equation."""
     answer = solve(Scene.read(DEMOS / "drum.toml"))
@@ -372,22 +297,6 @@ def test_layers_have_no_wiggles(speed):
         assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.06
     else:
         assert largest(COMM, u[points < 1 - 1e-9]) <= 1e-12
-
-
-def test_demo_pollutant():
-    """0 <= u <= 1 under wind, sources and a sink: both methods agree, full and empty regions are reported."""
-    scene = Scene.read(DEMOS / "pollutant.toml")
-    text = " ".join(explain(scene).split())
-    assert "SUPG" in text and "GMRES" in text and "no energy" in text
-    scene = scene.change({"mesh.cells": 32, "solve.eps": 1e-8})
-    with closing(SolverContext(scene)) as context:
-        ours, theirs = (context.answer(scene.options_with(method=method)) for method in METHODS)
-    assert "GMRES" in ours.summary() and "Peclet" in ours.summary()
-    assert smallest(COMM, theirs.u.x.array) >= 0 and largest(COMM, theirs.u.x.array) <= 1
-    assert largest(COMM, np.abs(ours.u.x.array - theirs.u.x.array)) < 1e-6
-    for side in ("lower", "upper"):
-        assert ours.record["contact"][side]["force"] > 0.1
-    assert ours.record["energy"] is None
 
 
 def without_tension(scene, **effects):
@@ -583,90 +492,6 @@ def test_what_others_ask_is_the_role():
         del _register["bed"]
 
 
-@pytest.mark.parametrize("table", ["effects", "boundary"])
-def test_an_effect_is_a_file_named_as_its_key(table):
-    """Whatever a table can name is found by its name; of scalar u the data of each can be written in other units."""
-    for key in known(table):
-        effect = find(key)
-        assert effect.key == key and effect.__module__.endswith(f".{key}")
-        assert issubclass(effect, OnPart) == (table == "boundary")
-        assert key in CONVERSIONS or effect.vector_valued
-
-
-MOVING = """
-from __future__ import annotations
-
-import re
-from dataclasses import dataclass
-from fenicsx_obstacle.effects.effect import Effect, register
-
-@register
-@dataclass(frozen=True)
-class Moving(Effect):
-    speed: float = 0.0
-
-    key = "moving_load"
-    equation = "moving_load(x - speed t)"
-    term = "- int moving_load(x - speed t) v"
-    role = "load"
-
-    @classmethod
-    def read(cls, raw, place, reader, **more):
-        given = reader.table(raw, place, ("force", "speed"))
-        speed = reader.number(given["speed"], f"{place}.speed")
-        force = re.sub(r"\\bx\\b", f"(x - {speed!r}*t)", str(given["force"])) if speed else given["force"]
-        return cls(reader.field(force, f"{place}.force"), speed)
-
-    def conflict(self, effects):
-        rival = [effect.key for effect in effects if effect.order > 1]
-        return f"{self.key} does not go with {rival[0]}" if rival else None
-
-    def terms(self, u, v, data):
-        return -data.cellwise(self.value) * v * data.dx
-
-    def energy(self, u, data):
-        return -data.cellwise(self.value) * u * data.dx
-"""
-
-
-@pytest.fixture
-def moving_load(tmp_path, monkeypatch):
-    """A load that travels, from a file."""
-
-    def in_units(raw, units, dim):
-        force = CONVERSIONS["load"](raw["force"], units, dim)
-        return {"force": force, "speed": units.scaled(raw["speed"], units.length)}
-
-    (tmp_path / "moving.py").write_text(MOVING)
-    load_plugin(tmp_path / "moving.py")
-    monkeypatch.setitem(CONVERSIONS, "moving_load", in_units)
-    yield
-    del _register["moving_load"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("moving_load")
-def test_one_class_is_a_whole_effect():
-    """What others ask of an effect, its class answers: values, weights of a pair's own, conflicts."""
-    force = "-8*sin(pi*x)"
-    still, load = (membrane(lower=-0.1, **one) for one in (
-        {"moving_load": {"force": force, "speed": 0}}, {"load": force}))  # fmt: skip
-    for element in ("P1", "P1-voronoi"):  # Voronoi areas are for loads per area
-        mine, theirs = (solve(scene, element=element).record for scene in (still, load))
-        assert mine["energy"] == pytest.approx(theirs["energy"], rel=1e-9)
-    assert len(all_units(still, 1.0)) == 7
-    there = Units("there", length=4.0, height=8.0, force=2.0)
-    energy = solve(there.of(still)).record["energy"] / (there.force * there.height**2)
-    assert energy == pytest.approx(solve(still).record["energy"], rel=1e-9)
-    with pytest.raises(InputError, match="moving_load does not go with inertia"):
-        membrane(moving_load={"force": 1, "speed": 1}, inertia=1)
-    moving = membrane(moving_load={"force": "-8*exp(-30*(x - 0.2)^2)", "speed": 0.6}, lower=-0.1,
-                      time={"end": 1, "steps": 2})  # fmt: skip
-    record = solve(moving).record  # from the left to where it would be from the right
-    there = membrane(load="-8*exp(-30*(x - 0.8)^2)", lower=-0.1)
-    assert record["energy"] == pytest.approx(solve(there).record["energy"])
-
-
 _U = "x*sin(pi*y)"  # 0 on three sides: boundary values take no part in the bound
 _F = f"pi^2*{_U}"
 _PARTS = [{"on": ["left", "bottom", "top"], "value": 0}, {"on": "right", "flux": "sin(pi*y)"}]
@@ -693,28 +518,22 @@ MISTAKES = [
     ({"boundary": [{"value": 0}, {"on": "left", "flux": 1}]}, r"\(no. 2\) flux has no effect .* given, by no. 1"),
     ({"boundary": [LEFT, {"on": "right", "spring": "0.5 - y"}]}, "must be at least 0; it is"),
     ({"boundary": [{"on": "left"}]}, "the key 'value' is missing, or flux, spring"),
-    ({"boundary": [{"on": "left", "flux": 1}]}, "u is given nowhere"),
     ({"soft_obstacle": 1}, "expected a table of stiffness, lower, upper"),
     ({"soft_obstacle": {"stiffness": 1}}, "needs lower or upper"),
     ({"soft_obstacle": {"lower": 1}}, "the key 'stiffness' is missing"),
-    ({"soft_obstacle": {"stiffness": 1, "lover": 1}}, "unknown key 'lover'"),
     ({"soft_obstacle": {"stiffness": 1, "lower": 0, "eps": 1}}, "unknown key 'eps'"),
-    ({"soft_obstacle": {"stiffness": 1, "lower": "q"}}, "unknown name 'q'"),
     ({"foundation": "x - 0.5"}, "must be at least 0"),
     ({"foundation": 1, "element": "P1-voronoi"}, "P1-voronoi is for tension and load, not for foundation"),
     ({"tension": [[1, 0.5], [0.4, 1]]}, r"tension: is not symmetric; entries differ by 0.1"),
     ({"tension": [[1, "2*x"], ["2*x", 1]]}, "must be positive definite; its least eigenvalue is -0"),
     ({"tension": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "a matrix of 3 rows, but points have 2 coordinates"),
     ({"tension": [[1, 0], [0]]}, "expected 2 rows of 2"),
-    ({"tension": [[1, "q"], ["q", 1]]}, "unknown name 'q'"),
     ({"tension": CLOTH, "element": "P2", "bound": True}, "isotropic tension"),
     ({"tension": CLOTH, "report": {"F": "integral(normal_flux, 'left')"}}, "flux needs an isotropic tension"),
     ({"point_load": [{"at": [2, 2], "force": 1}]}, r"the point \(2, 2\) is outside the mesh"),
     ({"point_load": [{"at": [0.5], "force": 1}]}, "a point needs 2 coordinates here, not 1"),
-    ({"point_load": [{"at": [0.5, 0.5]}]}, "the key 'force' is missing"),
     ({"point_load": [{"at": [0, 0], "force": 1, "radius": 1}]}, "unknown key 'radius' .known: at"),
     ({"point_load": 3}, "expected a list such as"),
-    ({"point_load": [{"at": [0.5, "x"], "force": 1}]}, "unknown name 'x'"),
     ({"point_load": POINT, "element": "P2"}, "is for element P1"),
     ({"point_load": POINT, "bound": True}, "does not cover point loads, whose energy is infinite"),
     ({"lower": -1, "boundary": [FREE]}, "these exclude each other"),
@@ -729,18 +548,11 @@ MISTAKES = [
     ({**RADIAL, "report": {"F": "integral(normal_flux, 'right')"}}, "not for axial symmetry"),
     ({"drift": 1}, "expected a list of one number or formula per coordinate"),
     ({"drift": [1]}, "has 1 components, but points have 2 coordinates"),
-    ({"drift": [1, "q"]}, "unknown name 'q'"),
     ({"large_slope": 1}, "names tension and large_slope: only one of them is allowed"),
     ({"large_slope": 1, "drift": [1, 0], "tension": None}, "drift can only be combined with tension, not with large_s"),
     ({"power_law": {"exponent": 3}}, "names tension and power_law: only one of them is allowed"),
-    ({"power_law": {"exponent": 3}, "large_slope": 1, "tension": None}, "only one of them is allowed"),
-    (
-        {"power_law": {"exponent": 3, "n": 3}, "tension": None},
-        "unknown key 'n' .known: exponent, coefficient, regularisation",
-    ),
     ({"power_law": {"exponent": 4}, "tension": None}, "must be between 1 and 4, which are excluded: .*ObstacleProblem"),
     ({"power_law": {"exponent": 3, "regularisation": 0}, "tension": None}, "must be positive"),
-    ({"large_slope": "x - 0.5", "tension": None}, "must be positive"),
     ({"large_slope": 1, "tension": None, "element": "P2", "bound": True}, "the error bound needs the effect 'tension'"),
 ]
 

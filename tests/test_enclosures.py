@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.scenes.derivative_bounds import ORDER
 from fenicsx_obstacle.scenes.mean_value_forms import Cells, OnCells
-from tests.conftest import COMM, membrane
+from tests.conftest import membrane
 
 SCENE = membrane(load=1).change({"mesh.cells": 1})
 NUMBERS = st.sampled_from(["0", "1", "2", "0.25", "-1.5", "1e-3", "pi"])
@@ -132,22 +132,6 @@ def test_definitions_and_poles():
         assert not enclosed(text, around).defined[0], text
     found = enclosed("1 % (1e-3 + 0*x)", around)  # 1/1e-3 is 1000 only when rounded
     assert found.lower[0] <= 0 and found.upper[0] >= 1e-3
-
-
-def test_bernstein_coefficients_bound_polynomials():
-    """On triangles and edges, sharp at vertices: affine functions exactly."""
-    generator = np.random.default_rng(COMM.rank)
-    for corners in (2, 3):
-        for degree in range(1, 9):
-            points = polynomials.inner_points(corners, degree)
-            values = generator.standard_normal((5, len(points)))
-            low, high = polynomials.bounds(values, corners, degree)
-            weights = generator.dirichlet(np.ones(corners), 300)
-            found = polynomials.evaluate(polynomials.coefficients(values, corners, degree), weights, degree)
-            assert (found >= low[:, None]).all() and (found <= high[:, None]).all()
-        at_vertices = polynomials.inner_points(corners, 1) @ np.arange(corners)
-        low, high = polynomials.bounds(at_vertices[None], corners, 1)
-        assert abs(low[0]) < 1e-13 and abs(high[0] - (corners - 1)) < 1e-13
 
 
 def check_slopes(text, x, seed):

@@ -1,10 +1,8 @@
 """What `explain` says, held against what a solve does; and that what a scene does not name costs nothing."""
 
-import gc
 from contextlib import closing
 
 import pytest
-from dolfinx import fem
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -77,21 +75,3 @@ def test_lake_costs_one_linear_solve(method):
         scene = membrane(load=1, **more)
         assert solve(scene, cells=32, method=method).record["newton_iterations"] == 1, more
         assert "one linear solve without contact" in explain(scene)
-
-
-def functions_of(scene):
-    """How many Functions a solve leaves alive, with the problem."""
-    gc.collect()
-    before = sum(isinstance(one, fem.Function) for one in gc.get_objects())
-    with closing(SolverContext(scene, COMM)) as context:
-        context.answer()
-        return sum(isinstance(one, fem.Function) for one in gc.get_objects()) - before
-
-
-@pytest.mark.slow
-def test_arrays_of_an_effect_are_its_own():
-    """A foundation that is a formula has one Function, on each level; without it there is none."""
-    plain, bed = membrane(lower=-1), membrane(lower=-1, foundation="1 + x")
-    functions_of(plain)
-    counts = [functions_of(scene) for scene in (plain, bed, plain)]
-    assert counts[0] == counts[2] < counts[1]

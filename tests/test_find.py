@@ -13,18 +13,6 @@ from fenicsx_obstacle import InputError, Scene, find, solve, study
 from tests.helpers import inside
 
 COMM = MPI.COMM_WORLD
-BEARING = {  # the journal bearing, cut open along its groove and unrolled
-    "define": {"ecc": 0.6, "H": "1 + ecc*cos(x)"},
-    "mesh": {"shape": "rectangle", "x": [0, "2*pi"], "y": [-1, 1], "cells": 384},
-    "tension": "H^3",
-    "load": "6*ecc*sin(x)",
-    "lower": 0,
-    "boundary": [{"value": 0}],
-    "report": {"Wr": "-integral(u*cos(x))", "Wt": "integral(u*sin(x))", "sommerfeld": "2/(pi*sqrt(Wr^2 + Wt^2))"},
-}
-# for a Sommerfeld number of .1212: five-point finite volumes on the unrolled bearing (`strip` of test_applications)
-# with 90 x 30, 180 x 60 and 360 x 120 cells, extrapolated with order 2
-ECCENTRICITY = 0.59947
 
 
 def string(**changes):
@@ -32,16 +20,6 @@ def string(**changes):
     tables = {"mesh": {"shape": "interval", "x": [0, 4], "cells": 64}, "tension": 1, "load": "-q",
               "define": {"q": 1, "base": 0}, "lower": "base", "boundary": [{"value": 1}]}  # fmt: skip
     return Scene(**{**tables, **changes})
-
-
-@pytest.mark.variant
-@pytest.mark.slow
-def test_journal_bearing():
-    """The eccentricity for a Sommerfeld number of .1212 within 1e-4 of finite volumes, in at most 8 solves."""
-    rows = find(Scene(**BEARING), {"define.ecc": (0.3, 0.9)}, "sommerfeld = 0.1212")
-    assert len(rows) <= 8
-    assert abs(rows[-1]["vary.define.ecc"] - ECCENTRICITY) < 1e-4
-    assert abs(rows[-1]["report.sommerfeld"] - 0.1212) < 1e-4
 
 
 def test_known_value():

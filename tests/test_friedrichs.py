@@ -16,8 +16,6 @@ from tests.conftest import COMM, by_hand, slow_except
 from tests.helpers import cut, grid
 
 BOXES = {1: dmesh.create_unit_interval, 2: dmesh.create_unit_square, 3: dmesh.create_unit_cube}
-MEETING = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2]], dtype=float)
-HALVES = np.array([[0, 1, 3], [0, 3, 2], [3, 4, 6], [3, 6, 5]])
 
 
 def constant(level: Level, where) -> float:
@@ -78,13 +76,6 @@ def _matrices(level: Level, where) -> tuple[np.ndarray, np.ndarray]:
         A.assemble()
         found.append(A.convert("dense").getDenseArray()[np.ix_(free, free)].copy())
     return found[0], found[1]
-
-
-def test_no_path_no_constant():
-    """Two squares that meet in a vertex are not connected."""
-    level = of_mesh(by_hand(MEETING, HALVES), "squares")
-    assert constant(level, left) == np.inf
-    assert np.isfinite(constant(level, lambda x: left(x) | np.isclose(x[0], 2)))
 
 
 def comb(n: int) -> dmesh.Mesh:

@@ -26,7 +26,6 @@ from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import FAILED, FLOOR, REJECTED, RIGHT
 from tests.hard.solved import ReferenceProblem
 from tests.hard.suite import rows_of
-from tests.hard.units import Units, all_units
 from tests.helpers import run_python
 
 FEW, OF_EFFECTS = (1e-2, 1e-8, 1e-14), (1e-2, 1e-6, 1e-12)
@@ -61,50 +60,27 @@ def test_every_effect_has_a_hard_scene():
     assert any(scene.tables.mesh.file for scene in thin) and any(scene.tables.mesh.shape for scene in thin)
 
 
-MEMBRANES = ("string_wedge", "ridge", "biactive_power", "floating", "gap_6", "cross_8", "needle_cube", "stretched")
-EFFECTS = ("perturbed", "obtuse", "storm", "woven", "tower", "power_3.8", "axle_string", "bed_8", "mattress",
-           "cords_-8", "cords_8", "nail", "stop", "valves")  # fmt: skip
-NO_M_MATRIX = ("floating", "perturbed", "obtuse", "storm", "woven", "tower", "power_3.8")
-QUICK = ("storm", "tower", "nail", "valves")
+# of each kind of operator one; the suite has all scenes. Whether the matrix is an M-matrix
+SCENES = {"ridge": True, "storm": False, "tower": False, "nail": True, "valves": True}
 
 
-@pytest.mark.parametrize("name", slow_except([*MEMBRANES, *EFFECTS], *QUICK))
+@pytest.mark.parametrize("name", slow_except(SCENES, "storm", "tower", "nail", "valves"))
 def test_scene(name):
     """Every answer keeps every invariant that is claimed for its operator, from any start; the program knows whether
     its matrix is an M-matrix, and claims less where it is none."""
-    epsilons, monotone = FEW if name in MEMBRANES else OF_EFFECTS, name not in NO_M_MATRIX
-    starts = name in (*MEMBRANES, "storm", "nail")
-    rows = list(judge(case(name).on(0), COMM, epsilons, starts=starts))
+    rows = list(judge(case(name).on(0), COMM, OF_EFFECTS, starts=name in ("ridge", "storm", "nail")))
     assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
-    assert len(rows) == 1 + len(epsilons) * len(METHODS) + 2 or name in EFFECTS
-    assert all(row["monotone"] is monotone for row in rows)
+    assert all(row["monotone"] is SCENES[name] for row in rows)
     claims = {finding["name"]: finding["claimed"] for row in rows for finding in row["findings"]}
-    assert claims["penalty and inequality: energy norm"] or name == "floating"
-    assert claims["penetration"] is monotone or name == "floating"
+    assert claims["penalty and inequality: energy norm"] and claims["penetration"] is SCENES[name]
     assert ("energy rises as eps falls" in claims) is (name != "storm")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["american_put", "melting", "wall", "drum_on_peg", "press"])
-def test_scene_with_time(name):
-    """Each step keeps what a problem at rest keeps; all together keep within the penetration, or lose energy."""
-    rows = list(judge(case(name).on(0), COMM, OF_EFFECTS))
-    assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
-    assert len(rows) == 1 + 2 * len(OF_EFFECTS) and all(row["monotone"] for row in rows)
-    claims = {finding["name"] for row in rows for finding in row["findings"] if finding["claimed"]}
-    moving = "energy never grows", "all steps: no farther from the inequality's u than the penetration"
-    assert moving[name not in ("wall", "drum_on_peg")] in claims
-
-
-BODIES = [one.name for one in cases() if one.known]
-
-
-@pytest.mark.slow
 @pytest.mark.serial  # as the suite, which judges on one rank and compares pressures on more of them
-@pytest.mark.parametrize("name", slow_except(BODIES, "in_a_corner"))
-def test_elastic_body(name):
+def test_elastic_body():
     """Penalty and inequality differ by the bound of eps, resultants and moments are those of equilibrium to 1e-8, and
     forces scale with the unit."""
+    name = "in_a_corner"
     rows = list(judge(case(name).on(0), COMM, FEW, known=case(name).known, units=True))
     assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
     assert len(rows) == 2 + len(FEW)
@@ -120,20 +96,6 @@ def test_scene_without_solution(name):
 
 
 @pytest.mark.slow
-def test_floating_membranes():
-    """(3.4) with v = 1: contact forces and load add up to 0, so that the load must press; any load between two."""
-    for data in ({"load": 1, "lower": 0}, {"load": 0, "upper": "x"}):
-        with pytest.raises(InputError, match=f"does not press against the {list(data)[1]} obstacle"):
-            SolverContext(membrane(**data, boundary=[]))
-    for data, force in (({"load": "x - 0.6", "lower": 0}, -0.1), ({"load": 1, "lower": -1, "upper": 1}, 1.0),
-                        ({"load": "x", "lower": -1, "upper": "y"}, 0.5)):  # fmt: skip
-        for method in ("penalty", "successive", "vi"):
-            contact = solve(membrane(**data, boundary=[]), eps=1e-6, method=method).record["contact"]
-            forces = {side: contact.get(side, {}).get("force", 0.0) for side in ("lower", "upper")}
-            assert forces["upper"] - forces["lower"] == pytest.approx(force, rel=1e-6)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_except(["ball", "gap_6"], "gap_6"))
 def test_floor_of_eps(name):
     """Just above the floor answers are right; below it they are rejected, with the floor in the message."""
@@ -144,66 +106,6 @@ def test_floor_of_eps(name):
     assert [row["verdict"] for row in above] == [RIGHT] * 3, messages(above)
     assert [row["verdict"] for row in below] == [RIGHT] + [REJECTED] * 4
     assert all(FLOOR in row["message"] and f"{floor:.2g}" in row["message"] for row in below[1:])
-
-
-def test_contact_without_pressure_keeps_its_balance():
-    """SNES VI with multigrid: the springs that stand for bounds are no round-off, and no reason to stop early."""
-    rows = list(judge(case("biactive_half").on(1), COMM, ()))
-    assert [row["verdict"] for row in rows] == [RIGHT], messages(rows)
-
-
-@pytest.mark.slow
-def test_units():
-    """Lengths, heights, forces x 2^30 and 2^-30: the same bits; shifted heights: the digits that are left."""
-    ball = case("ball").on(0)
-    rows = [row for row in judge(ball, MPI.COMM_SELF, (1e-6,), ("penalty",), units=True) if row["trial"]]
-    assert len(rows) == 2 * len(all_units(ball, 1.0)) == 14
-    assert [row["verdict"] for row in rows] == [RIGHT] * 14, messages(rows)
-    for row in rows:
-        shifted = "heights +" in row["trial"]
-        assert row["digits"]["moved"] <= (4 * row["digits"]["left"] if shifted else 1e-12)
-    assert max(row["digits"]["moved"] for row in rows) > 1e-10
-
-
-@pytest.mark.parametrize("name", ["storm", "tower", "power_1.2", "mattress", "nail", "cords_8", "stop"])
-@pytest.mark.slow
-def test_units_of_effects(name):
-    """All quantities of an effect in other units are the same scene: u, p, and as many steps."""
-    rows = [row for row in judge(case(name).on(0), MPI.COMM_SELF, (1e-6,), ("penalty",), units=True) if row["trial"]]
-    assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
-    assert len(rows) >= 8
-
-
-def test_units_of_slopes_and_of_heights_from_0():
-    """A film of large slopes scales with all its lengths alone; beds and springs know where 0 is."""
-    names = {name: [units.name for units in all_units(case(name).on(0), 1.0)] for name in ("tower", "bed_8", "storm")}
-    assert names["tower"] == ["lengths and heights x 2^-30", "lengths and heights x 2^30", "forces x 2^-30",
-                              "forces x 2^30", "heights + 2^20 sizes"]  # fmt: skip
-    assert len(names["bed_8"]) == 6 and len(names["storm"]) == 7
-    there = Units("there", length=4.0, height=8.0, force=2.0).of(case("power_1.2").on(0)).tables.effects
-    assert there["power_law"]["regularisation"] == 2e-3
-    assert np.isclose(there["power_law"]["coefficient"], 2.0 * 2.0**0.8)
-    nail = Units("there", length=4.0, height=8.0, force=2.0).of(case("nail").on(0)).tables.effects["point_load"]
-    assert nail[0] == {"at": [0.405 * 4, 0.013 * 4], "force": "(force)*16.0"}
-
-
-def test_other_units_are_the_same_scene():
-    """A scene in other units, and back: the same fields; the names of its own are left alone."""
-    scene = case("dam").on(0)
-    there = Units("there", length=4.0, height=8.0, force=2.0).of(scene)
-    assert there.tables.mesh.x == (0, "(width)*4.0")
-    assert there.tables.effects == {"tension": 2.0, "load": -1.0}
-    assert there.tables.boundary[0].value == "((high - (y/4.0))^2/2)*8.0"
-
-
-def test_digits_of_the_pressure():
-    """Pressure from heights loses machine epsilon |g|/(eps |p|), as theory says; that of the answer nothing at all."""
-    rows = [row for row in judge(case("ball").on(0), COMM, (1e-10, 1e-12, 1e-14), ("penalty",)) if row["eps"]]
-    for row in rows:
-        digits = row["digits"]
-        assert 0.1 * digits["line"] < digits["from_heights"] <= digits["line"]
-        assert digits["off"] <= max(1e3 * row["eps"], 1e-9)
-    assert rows[2]["digits"]["from_heights"] > 50 * rows[1]["digits"]["from_heights"] > 1e-5
 
 
 ENERGY_NORM = "ranks: the same u in the energy norm"
@@ -244,30 +146,16 @@ def answers_of(scene, *epsilons):
     return found
 
 
-def at_some_node(s, value):
-    """An array with a value at one node of one rank that is free and not in contact."""
-    g = s.ground
-    mine = np.flatnonzero(g.free & (s.below > 0.1))
-    first = COMM.allgather(len(mine) > 0).index(True)
-    array = np.zeros(len(s.p))
-    if COMM.rank == first:
-        array[mine[0]] = value
-    return array
-
-
 def pressed(s, factor):
     """An answer in balance with another pressure."""
     return replace(s, p=factor * s.p, elastic=np.where(s.p != 0, factor * s.elastic, s.elastic))
 
 
+# the others of one answer are those of `verify`, whose test falsifies them
 WRONG_ALONE = {
-    "forces at nodes balance": lambda s: replace(s[1e-4], p=1.001 * s[1e-4].p),
     "loads, contact and edges balance": lambda s: replace(
         s[1e-4], elastic=s[1e-4].elastic + np.where(s[1e-4].ground.free, 0, 1e-6)
     ),
-    "no pressure without contact": lambda s: replace(s[None], p=s[None].p + at_some_node(s[None], 1e-3)),
-    "u between the obstacles": lambda s: replace(s[None], below=s[None].below - 1e-9),
-    "p = -(u - g)^+/eps": lambda s: replace(s[1e-4], p=(1 + 1e-9) * s[1e-4].p),
     "the lower obstacle never pulls": lambda s: replace(s[None], p=-s[None].p),
 }
 WRONG_BESIDE = {
@@ -313,27 +201,6 @@ def test_not_a_number_is_no_answer(answers):
     assert len(violated(beside_inequality(wrong, answers[None]))) >= 2
 
 
-@pytest.mark.parametrize("name", ["storm", "tower", "mattress", "nail"])
-def test_wrong_answers_are_found_out(name):
-    """Another u, a force that nobody answers, a distance too large for its eps: for each kind of operator."""
-    vi, s = answers_of(case(name).on(0), 1e-6).values()
-    assert violated([*of_one(s), *of_one(vi), *beside_inequality(s, vi), *same(s, s, "itself")]) == []
-    off = replace(s, w=s.w + 1e-6 * s.range * s.ground.free, elastic=s.elastic * (1 + 1e-6))
-    assert any("energy norm" in finding.name for finding in violated(same(s, off, "another")))
-    names = [finding.name for finding in violated(of_one(replace(s, elastic=s.elastic * 1.01)))]
-    assert "forces at nodes balance" in names
-    far = violated(beside_inequality(replace(s, eps=1e-8 * s.eps), vi))
-    assert any("energy norm" in finding.name for finding in far)
-
-
-def test_point_loads_are_part_of_the_balance():
-    """Load, contact, edges and the forces at points add up to 0; without the latter they would not."""
-    scene = membrane(load=-1, lower=-0.02, point_load=[{"at": [0.3, 0.6], "force": 0.5}])
-    s = answers_of(scene)[None]
-    finding = next(one for one in of_one(s) if one.name == "loads, contact and edges balance")
-    assert finding.held and finding.limit < 1e-6
-
-
 def test_energy_of_rules_that_differ():
     """Tension, load and foundation (nodal rule) of u = x: 1/2 - 2/2 + (3/2)/2; load and foundation differ in rule."""
     scene = membrane(foundation=3, load=2, boundary=[{"value": "x"}], mesh={"shape": "rectangle", "cells": 1})
@@ -349,13 +216,6 @@ def test_energy_of_rules_that_differ():
         step.axpy(-rate, residual)
         fallen = problem.energy(x, penalised=False) - problem.energy(step, penalised=False)
         assert np.isclose(fallen, rate * residual.norm() ** 2, rtol=0.05)
-
-
-@pytest.mark.slow
-def test_harder_and_harder_obstacles():
-    """n = 3.8 with eps = 1e-12: where Newton and line searches fail, softer obstacles lead there."""
-    rows = list(judge(case("power_3.8").on(0), COMM, (1e-12,), ("penalty",)))
-    assert [row["verdict"] for row in rows] == [RIGHT, RIGHT], messages(rows)
 
 
 @pytest.mark.slow
@@ -390,14 +250,6 @@ from tests.hard.judge import judge
 rows = judge(case("string_mu_jump").on(1), epsilons=(1e-12, 1e-14), methods=("penalty",))
 print([finding for row in rows for finding in row["findings"] if not finding["held"]])
 """
-
-
-def test_energies_of_a_fine_string():
-    """Where the energies of penalty and inequality differ by less than round-off, none is called wrong."""
-    rows = list(judge(case("string_mu_jump").on(1), epsilons=(1e-12, 1e-14), methods=("penalty",)))
-    assert len(rows) == 3 and all(row["verdict"] == "right" for row in rows)
-    limits = [one["limit"] for row in rows for one in row["findings"] if one["name"].startswith("energy below")]
-    assert limits and max(limits) < 1e-10 * abs(rows[0]["energy"])
 
 
 @pytest.mark.serial

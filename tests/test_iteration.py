@@ -12,18 +12,11 @@ from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, membrane
 from tests.hard.cases import case
 from tests.theory.iteration import (
-    COLD,
     CYCLE,
     CYCLE_EPS,
     CYCLE_LOAD,
     DENSE,
-    FALLING,
-    NESTED,
-    counts,
-    cycle,
     entered,
-    linear_step,
-    nesting,
 )  # fmt: skip
 from tests.theory.samples import Small
 
@@ -35,26 +28,6 @@ def sheared(by):
     mesh = meshes.build(membrane(), COMM).mesh
     mesh.geometry.x[:, 0] += by * mesh.geometry.x[:, 1]
     return mesh
-
-
-@pytest.mark.slow
-def test_statement():
-    """(3.4)*: the step is linear, sets are nested, the example cycles."""
-    findings = [*linear_step(COMM), *nesting(COMM), *cycle()]
-    verdicts = [finding.verdict for finding in findings]
-    assert verdicts == ["holds", "misprint", "holds", "not sharp", "holds", "needs hypothesis", "holds"]
-
-
-@pytest.mark.slow
-def test_counts():
-    """Steps from no contact grow like 1/h; from the coarser levels, and with eps falling by tens, they stay few."""
-    findings, panels = counts(COMM, (16, 32, 64))
-    assert all(finding.verdict != "FAILS" for finding in findings)
-    steps = [{curve.label: list(curve.y) for curve in panel.curves} for panel in panels]
-    assert all(max(one[NESTED]) <= 4 for one in steps)
-    assert max(steps[0][FALLING]) <= 20
-    assert steps[0][COLD] == [4, 7, 12]
-    assert steps[1][COLD] == [3, 5, 7]
 
 
 @pytest.mark.slow

@@ -7,9 +7,8 @@ from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.mesh import levels
-from fenicsx_obstacle.mesh.cells import corners, facet_vertices, sides
 from fenicsx_obstacle.mesh.transfer import downward, ends_of
-from fenicsx_obstacle.parallel import gathered, largest, on_root, total
+from fenicsx_obstacle.parallel import gathered, on_root, total
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, DEMOS, slow_except
 
@@ -105,50 +104,6 @@ def stiffness(level):
     return A
 
 
-def test_disk_approaches_the_circle():
-    """Refined boundary vertices move onto the circle; the area tends to pi with order 2."""
-    level = build({"shape": "disk", "radius": 1, "cells": 8, "refine": 2}).on_meshes
-    errors = []
-    while level is not None:
-        errors.append(np.pi - measure(level))
-        rim = fem.locate_dofs_topological(level.V, 1, level.facets["circle"])
-        assert np.allclose(np.linalg.norm(level.V.tabulate_dof_coordinates()[rim], axis=1), 1) or not len(rim)
-        level = level.coarse
-    assert errors[0] < errors[1] / 3.5 < errors[2] / 12
-
-
-def test_more_ranks_than_cells():
-    """Ranks that own nothing work along."""
-    answer = solve(Scene(mesh={"shape": "interval", "cells": 2}, tension=1, load=8, upper=0.3), eps=1e-8)
-    assert np.isclose(largest(COMM, answer.u.x.array), 0.3, atol=1e-6)
-    one = solve(Scene(mesh={"shape": "rectangle", "cells": 1}, tension=1, load=8, upper=0.3))
-    assert one.record["dofs"] == 4
-
-
-SQUARE_GEO = """SetFactory("OpenCASCADE");
-Rectangle(1) = {0, 0, 0, 1, 1};
-Physical Surface(7) = {1};
-Physical Curve("floor") = {1};
-Physical Curve("rest") = {2, 3, 4};
-Mesh.MeshSizeMax = 0.2;
-"""
-
-
-@pytest.mark.slow
-def test_parts_of_a_file_halved_several_times(folder):
-    """Named parts of the boundary keep their length, materials their cells."""
-    on_root(COMM, (folder / "square.geo").write_text, SQUARE_GEO)
-    coarse, fine = (build({"file": str(folder / "square.geo"), "refine": refine}) for refine in (0, 3))
-    assert len(fine.grids) == 2
-    for name, length in (("floor", 1.0), ("rest", 3.0)):
-        cells, numbers, share = sides(fine.mesh, fine.facets[name])
-        ends = corners(fine.mesh)[cells[:, None], np.array(facet_vertices(2))[numbers]]
-        assert np.isclose(total(COMM, np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) * share), length)
-    assert fine.groups.keys() == coarse.groups.keys()
-    for name, cells in coarse.groups.items():
-        assert total(COMM, len(fine.groups[name])) == 64 * total(COMM, len(cells)) > 0
-
-
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_xdmf_with_numbered_tags(cell, folder):
     """A file of DOLFINx. XDMF has no names: the numbers of its tags serve."""
@@ -229,16 +184,6 @@ def test_mistakes_in_materials(halves):
         assert len(set(COMM.allgather(str(caught.value)))) == 1
     with pytest.raises(InputError, match="no material named 'steel'; the mesh has no named groups of cells"):
         solve(Scene(mesh={"shape": "interval"}, tension={"steel": 1}))
-
-
-@pytest.mark.parametrize("refine", [0, 1])
-def test_interior_curve(halves, refine):
-    """u given on a curve inside: a roof, on any number of ranks."""
-    boundary = [{"on": "middle", "value": 1}, {"on": ["left", "right"], "value": 0}]
-    scene = halves(tension=1, boundary=boundary, exact="1 - abs(2*x - 1)", report={"length": "integral(1, 'middle')"})
-    answer = solve(scene.change({"mesh.refine": refine}))
-    assert answer.record["errors"]["max"] < 1e-9
-    assert np.isclose(answer.report["length"], 1)
 
 
 @pytest.mark.slow

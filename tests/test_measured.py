@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 
 from fenicsx_obstacle import Answer, InputError, Scene, Table, solve
 from fenicsx_obstacle.parallel import on_root
@@ -22,17 +21,6 @@ FILES = {
 
 def surface(x, y):
     return 0.06 * np.sin(9 * x + 2 * y) * np.cos(7 * y - x) + 0.02 * np.sin(20 * x * y)
-
-
-def rough(size=65, hurst=0.8):
-    """A self-affine surface, bilinear between size x size points: a function of x and y."""
-    from scipy.interpolate import RegularGridInterpolator
-
-    k = np.hypot(*np.meshgrid(np.fft.fftfreq(size), np.fft.fftfreq(size)))
-    k[0, 0] = np.inf
-    z = np.fft.ifft2(np.fft.fft2(np.random.default_rng(1).standard_normal((size, size))) * k ** (-1 - hurst)).real
-    axis = np.linspace(0, 1, size)
-    return RegularGridInterpolator((axis, axis), 0.01 * z / z.std())
 
 
 def write(folder, surface=surface, size=SIZE):
@@ -112,25 +100,6 @@ def test_one_surface_from_every_kind_of_file(files):
         assert answer.force.lower == pytest.approx(found["npz"].force.lower, rel=2e-2), kind
     for kind in ("csv", "npy"):
         assert found[kind].force.lower == pytest.approx(found["npz"].force.lower, rel=1e-12)
-
-
-@pytest.mark.slow
-def test_a_rough_surface_from_every_kind_of_file(folder):
-    """Forces and bounds of a self-affine surface agree to the rounding of 16-bit shades and 32-bit coordinates, on
-    one rank and on all; force balances load to 1e-10; each bound is certified."""
-    surface = rough()
-    on_root(COMM, write, folder, lambda x, y: surface((y, x)), 65)
-    found = {}
-    for kind in ("csv", "npy", "png", "stl"):
-        text = scene_text(FILES[kind]).replace("cells = 24", "cells = 32").replace("depth = 0.15", "depth = 0.1")
-        scene = Scene.read(in_file(folder, text, f"{kind}.toml"))
-        found[kind] = answer = solve(scene, bound=True)
-        assert abs(sum(answer.report.values()) - 4) < 1e-10 and answer.bound.words == "certified", kind
-        assert answer.force.lower == pytest.approx(found["csv"].force.lower, rel=1e-4) and answer.force.lower > 0.5
-        assert answer.bound.total == pytest.approx(found["csv"].bound.total, rel=1e-2)
-    alone = solve(scene, comm=MPI.COMM_SELF, bound=True)
-    assert answer.force.lower == pytest.approx(alone.force.lower, rel=1e-9)
-    assert answer.bound.total == pytest.approx(alone.bound.total, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from dolfinx import fem
 from mpi4py import MPI
 
-from fenicsx_obstacle import InputError, Scene, Solution, solve, study
+from fenicsx_obstacle import InputError, Scene, solve, study
 from fenicsx_obstacle.mesh import meshing
 from fenicsx_obstacle.mesh.cells import corners, own_cells, volumes
 from fenicsx_obstacle.mesh.files import content_of
@@ -41,12 +38,6 @@ def saved(path, draw, version=4.1, binary=0, everything=1, order=1, dim=None):
         gmsh.finalize()
 
 
-def test_the_process_of_gmsh_does_not_load_mpi():
-    """It is started by a rank, and MPI_Init would fail in it."""
-    loaded = "import sys, fenicsx_obstacle.mesh.meshing; sys.exit('mpi4py.MPI' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0
-
-
 def disk_of_arcs(model):
     """The unit disk of four arcs, whose common centre is a node that no cell has."""
     geo = model.geo
@@ -56,18 +47,9 @@ def disk_of_arcs(model):
     geo.synchronize()
 
 
-def shape(dim):
-    def draw(model):
-        occ = model.occ
-        if dim == 1:
-            occ.addLine(occ.addPoint(0, 0, 0), occ.addPoint(1, 0, 0))
-        elif dim == 2:
-            occ.addRectangle(0, 0, 0, 1, 1)
-        else:
-            occ.addBox(0, 0, 0, 1, 1, 1)
-        occ.synchronize()
-
-    return draw
+def square(model):
+    model.occ.addRectangle(0, 0, 0, 1, 1)
+    model.occ.synchronize()
 
 
 def file_of(folder, draw, name="mesh.msh", **how):
@@ -96,17 +78,6 @@ def test_a_file_without_physical_groups(folder, version, binary, everything):
     assert answer.record["errors"]["max"] < 1e-9
     assert answer.record["dofs"] - answer.record["free"] == facets(answer.level)
     assert answer.level.facets == {} and answer.level.groups == {} and answer.level.remarks == ()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dim", [1, 2, 3])
-@pytest.mark.parametrize(("version", "binary"), slow_except([(2.2, 1), (4.1, 0)], (2.2, 1)))
-def test_a_file_without_physical_groups_in_each_dimension(folder, dim, version, binary):
-    """Intervals, triangles and tetrahedra of the same unit size."""
-    path = file_of(folder, shape(dim), version=version, binary=binary)
-    found = solve(Scene(mesh={"file": str(path)}, tension=1, load=1, report={"size": "integral(1)"}))
-    assert found.level.mesh.geometry.dim == found.level.mesh.topology.dim == dim
-    assert np.isclose(found.report["size"], 1) and found.record["free"] < found.record["dofs"]
 
 
 @pytest.mark.slow
@@ -201,7 +172,7 @@ def test_what_is_no_mesh_of_one_kind(folder):
     cases = {
         "cubic": (disk_of_arcs, {"order": 3}, "of degree 1 or 2"),
         "mixed": (mixed, {}, "uadri"),
-        "points": (shape(2), {"dim": 0}, "holds no cells"),
+        "points": (square, {"dim": 0}, "holds no cells"),
     }
     for name, (draw, how, message) in cases.items():
         path = file_of(folder, draw, f"{name}.msh", **how)
@@ -238,46 +209,13 @@ def test_quadrilaterals_and_hexahedra(folder, dim, order, element):
     path, u = file_of(folder, of_cubes(dim), order=order, everything=0), "x - 2*y + 3"
     scene = Scene(mesh={"file": str(path)}, tension=1, boundary=[{"on": "5", "value": u}, {"value": u}], exact=u,
                   report={"size": "integral(1)", "side": "integral(1, '5')", "group": "integral(1, '8')"})  # fmt: skip
-    answer = solve(scene, element=element)
+    answer = solve(scene, **({} if element == "Q1" else {"element": element}))  # Q1 is the default
     assert answer.record["errors"]["max"] < 1e-9 and answer.record["cells_total"] == 3**dim
+    assert answer.record["element"] == element
     assert np.allclose(list(answer.report.values()), 1, rtol=1e-12)
     assert any("degree 2" in remark for remark in answer.level.remarks) == (order == 2)
     with pytest.raises(InputError, match="refine is for simplices; take smaller cells in the file"):
         solve(scene, element=element, refine=1)
-
-
-CIRCLE = (
-    "Point(1) = {0, 0, 0}; Point(2) = {1, 0, 0, 0.4}; Point(3) = {0, 1, 0, 0.4}; Point(4) = {-1, 0, 0, 0.4};"
-    "Point(5) = {0, -1, 0, 0.4}; Circle(1) = {2, 1, 3}; Circle(2) = {3, 1, 4}; Circle(3) = {4, 1, 5};"
-    "Circle(4) = {5, 1, 2}; Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};"
-)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("element", "norm", "order"), slow_except([("P1", "l2", 2), ("P2", "h1", 1.5)], ("P1", "l2", 2))
-)
-def test_a_circle_stays_one(folder, element, norm, order):
-    """New vertices lie on the CAD curves: on a disk order 2 in L2 (P1) and 3/2 in H1 (P2, whose cells are straight)."""
-    on_root(COMM, lambda: (folder / "disk.geo").write_text(CIRCLE + "\n") and None)
-    scene = Scene(mesh={"file": str(folder / "disk.geo")}, tension=1, load=4, boundary=[{"value": 0}], exact="1 - r^2")
-    answers = [solve(scene, element=element, refine=n) for n in (0, 2)]
-    errors = [answer.record["errors"][norm] for answer in answers]
-    assert abs(np.log2(errors[0] / errors[1]) / 2 - order) < 0.05
-    x = answers[1].level.mesh.geometry.x
-    rim = fem.locate_dofs_topological(answers[1].u.function_space, 1, answers[1].level.boundary_facets)
-    assert len(rim) == 0 or np.isclose(np.linalg.norm(x, axis=1).max(), 1, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_a_cylinder_stays_one(folder):
-    """In solids new vertices lie on the CAD surfaces, along edges on the curve between two: the volume has order 2."""
-    text = OCC + "Cylinder(1) = {0, 0, 0, 0, 0, 1, 1}; Mesh.MeshSizeMax = 0.7;\n"
-    on_root(COMM, lambda: (folder / "solid.geo").write_text(text) and None)
-    scene = Scene(mesh={"file": str(folder / "solid.geo")}, tension=1, load=1, boundary=[{"value": 0}],
-                  report={"size": "integral(1)"})  # fmt: skip
-    errors = [np.pi - solve(scene, refine=n).report["size"] for n in (0, 1)]
-    assert errors[1] > 0 and np.log2(errors[0] / errors[1]) > 1.8
 
 
 def cap(model):
@@ -394,43 +332,6 @@ def test_bodies_of_a_step_file_that_overlap(folder):
 
     with pytest.raises(InputError, match=r"surfaces 1 and 2 overlap at \(0.75, 0.5, .*BooleanDifference"):
         level_of(file_of(folder, assembly, "overlap.step"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("suffix", ["geo", "msh"])
-def test_the_default_element_of_files_is_that_of_their_cells(folder, dim, suffix):
-    """Q1 on quadrilaterals and hexahedra, with the same solution as where it is named."""
-
-    def cells(model):
-        model.occ.addRectangle(0, 0, 0, 2, 1)
-        if dim == 3:
-            model.occ.extrude([(2, 1)], 0, 0, 1, [2], recombine=True)
-        model.occ.synchronize()
-        for curve in model.getEntities(1):
-            model.mesh.setTransfiniteCurve(curve[1], 4)
-        for surface in model.getEntities(2):
-            model.mesh.setTransfiniteSurface(surface[1])
-            model.mesh.setRecombine(*surface)
-        for volume in model.getEntities(3):
-            model.mesh.setTransfiniteVolume(volume[1])
-
-    text = (
-        "Point(1) = {0, 0, 0}; Point(2) = {2, 0, 0}; Point(3) = {2, 1, 0}; Point(4) = {0, 1, 0}; Line(1) = {1, 2};"
-        "Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1}; Line Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};"
-        "Transfinite Line{1, 2, 3, 4} = 4; Transfinite Surface{1}; Recombine Surface{1};"
-    ) + "Extrude{0, 0, 1}{Surface{1}; Layers{3}; Recombine;}" * (dim == 3)
-    if suffix == "geo":
-        path = folder / "cells.geo"
-        on_root(COMM, lambda: path.write_text(text.replace(";", ";\n")) and None)
-    else:
-        path = file_of(folder, cells, "cells.msh")
-    scene = Scene(mesh={"file": str(path)}, tension=1, load=-9, lower=-0.05, boundary=[{"value": 0}])
-    found, named = solve(scene), solve(scene.change({"solve.element": "Q1"}))
-    assert found.record["element"] == named.record["element"] == "Q1"
-    assert found.force.lower > 0 and found.force.lower == named.force.lower
-    found.save(folder / "saved")
-    assert Solution.read(folder / "saved").force == found.force
 
 
 def test_groups_of_cells_and_of_curves_with_one_number(folder):
@@ -597,15 +498,11 @@ def test_a_mesh_file_starts_no_program_and_writes_no_file(folder, what, suffix):
 
 @pytest.mark.parametrize("suffix", [".geo", ".msh", ".step"])
 def test_options_beside_a_mesh_are_not_taken(folder, suffix):
-    def draw(model):
-        model.occ.addRectangle(0, 0, 0, 1, 1)
-        model.occ.synchronize()
-
     def write():
         if suffix == ".geo":
             (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n")
         else:
-            saved(folder / f"a{suffix}", draw)
+            saved(folder / f"a{suffix}", square)
 
     on_root(COMM, write)
     level_of(folder / f"a{suffix}")
@@ -619,7 +516,7 @@ def test_without_confinement_no_geo_is_read(folder, monkeypatch, capsys):
     monkeypatch.setattr(meshing, "confine", lambda: False)
     if COMM.rank == 0:
         (folder / "a.geo").write_text(OCC + "Rectangle(1) = {0, 0, 0, 1, 1};\n")
-        saved(folder / "a.msh", lambda model: (model.occ.addRectangle(0, 0, 0, 1, 1), model.occ.synchronize()))
+        saved(folder / "a.msh", square)
         assert meshing._run(str(folder / "a.geo"), str(folder / "1.npz")) == 2
         assert "libseccomp2" in capsys.readouterr().out
         assert meshing._run(str(folder / "a.msh"), str(folder / "2.npz")) == 0
@@ -649,7 +546,7 @@ def test_a_mesh_says_nothing_of_its_geometry(folder):
     """Of a .msh, and of the caller's own mesh, it is unknown whether the domain is the polygon."""
     from dolfinx import mesh as dmesh
 
-    assert level_of(file_of(folder, shape(2))).polygonal is None
+    assert level_of(file_of(folder, square)).polygonal is None
     assert build(Scene(mesh=dmesh.create_unit_square(COMM, 2, 2), tension=1), COMM).polygonal is None
 
 
