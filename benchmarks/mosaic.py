@@ -78,7 +78,7 @@ def drawn(one: Case) -> Any:
 def draw(axes: Any, patch: Patch) -> None:
     """u in bands of colours, contact with a lower or an upper obstacle over it."""
     u, contact, p = (patch.fields[name] for name in ("u", "contact", "pressure"))
-    shape = triangles(patch)
+    shape = triangles(patch.points, patch.cells)
     axes.tricontourf(shape, u, levels=BANDS, cmap="Greys", vmin=u.min() - 0.3 * np.ptp(u), vmax=u.max() + np.ptp(u))
     for colour, here in (("#E69F00", (contact > 0.5) & (p >= 0)), ("#56B4E9", (contact > 0.5) & (p < 0))):
         if here.any():

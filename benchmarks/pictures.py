@@ -187,8 +187,9 @@ def bearing(axes: Any) -> None:
     patch = patch_of(gather(answer.fields))
     film = unrolled(patch)
     levels = np.linspace(film.fields["u"].min(), film.fields["u"].max(), 15)
-    drawn = axes.tricontourf(triangles(film), film.fields["u"], levels=levels, cmap="viridis")
-    axes.tricontourf(triangles(film), film.fields["level lower"], levels=[-np.inf, 0], colors=["0.85"])
+    shape = triangles(film.points, film.cells)
+    drawn = axes.tricontourf(shape, film.fields["u"], levels=levels, cmap="viridis")
+    axes.tricontourf(shape, film.fields["level lower"], levels=[-np.inf, 0], colors=["0.85"])
     draw_lines(axes, [unrolled(line) for line in free_boundary(patch)])
     axes.annotate("cavitation", (282, 0), ha="center", va="center", fontsize=10)
     axes.set(xlim=(0, 360), ylim=(-1, 1), xlabel="angle from the groove, degrees", ylabel="z / R")
@@ -217,8 +218,9 @@ def torsion(axes: Any) -> None:
     from matplotlib.patches import Patch as Swatch
 
     draw_domain(axes, patch)
-    axes.tricontourf(triangles(patch), patch.fields["level upper"], levels=[-np.inf, 0], colors=[PLASTIC], zorder=1)
-    axes.tricontour(triangles(patch), patch.fields["u"], levels=12, colors="0.35", linewidths=0.7, zorder=2)
+    shape = triangles(patch.points, patch.cells)
+    axes.tricontourf(shape, patch.fields["level upper"], levels=[-np.inf, 0], colors=[PLASTIC], zorder=1)
+    axes.tricontour(shape, patch.fields["u"], levels=12, colors="0.35", linewidths=0.7, zorder=2)
     draw_lines(axes, free_boundary(patch))
     size = patch.points.max()
     axes.set(aspect="equal", xlim=(0, size), ylim=(0, size), xlabel="x, mm", ylabel="y, mm")

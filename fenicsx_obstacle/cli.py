@@ -27,8 +27,8 @@ class _Ordered(click.Group):
 def commands() -> None:
     """Obstacle problems by the penalty finite element method, on FEniCSx and PETSc.
 
-    Options take precedence over the scene; brackets show defaults. All commands run under mpirun, as 'mpirun -n N
-    fenicsx-obstacle COMMAND'; in a clone './obstacle --ranks N COMMAND' starts it. PETSc options follow --.
+    Options take precedence over the scene; brackets show defaults. All commands but hard run under mpirun, as 'mpirun
+    -n N fenicsx-obstacle COMMAND'; in a clone './obstacle --ranks N COMMAND' starts it. PETSc options follow --.
     """
 
 

@@ -13,7 +13,7 @@ from sphinx.application import Sphinx
 
 ROOT = Path(__file__).parent.parent.parent
 PACKAGE = "fenicsx_obstacle"
-WIDTH = 11.2  # of the rows, in their own unit
+WIDTH = 14.0  # of the rows, in their own unit
 
 
 def draw(file: Path) -> None:
@@ -27,13 +27,13 @@ def draw(file: Path) -> None:
     graph = grimp.build_graph(PACKAGE, exclude_type_checking_imports=True)
     texts = [fill(", ".join(_modules(layer)), 92) for layer in rows]
     heights = [1.0 + 0.42 * (text.count("\n") + 1) for text in texts]
-    figure, axes = plt.subplots(figsize=(12, 0.36 * sum(heights) + 1.3))
+    figure, axes = plt.subplots(figsize=(13, 0.36 * sum(heights) + 1.3))
     top = 0.0
     for row, (layer, text, height) in enumerate(zip(rows, texts, heights, strict=True)):
         axes.add_patch(plt.Rectangle((0, -top - height), WIDTH, height * 0.94, facecolor="#eef3f8", edgecolor="#345"))
         axes.text(0.1, -top - 0.2, layer, va="top", weight="bold", fontsize=10)
-        axes.text(1.75, -top - 0.22, _purpose(layer), va="top", fontsize=8)
-        axes.text(1.75, -top - 0.68, text, va="top", fontsize=7, color="#456")
+        axes.text(2.05, -top - 0.22, _purpose(layer), va="top", fontsize=7.6)
+        axes.text(2.05, -top - 0.68, text, va="top", fontsize=7, color="#456")
         for column, other in enumerate(rows):
             x, y = WIDTH + 0.4 + 0.36 * column, -top - height / 2
             if row == column:
@@ -43,7 +43,7 @@ def draw(file: Path) -> None:
         top += height
     for column, other in enumerate(rows):
         axes.text(WIDTH + 0.4 + 0.36 * column, 0.15, other, rotation=60, fontsize=8, ha="left", va="bottom")
-    axes.set(xlim=(0, WIDTH + 0.6 + 0.36 * len(rows)), ylim=(-top, 1.9))
+    axes.set(xlim=(0, WIDTH + 0.6 + 0.36 * len(rows)), ylim=(-top - 0.1, 1.9))
     axes.axis("off")
     figure.savefig(file, bbox_inches="tight", metadata={"Date": None})
     plt.close(figure)
