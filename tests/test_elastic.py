@@ -405,6 +405,7 @@ def pressed(dim, angle=0.0, hold=(), load=1.0):
         (2, {"angle": 0.5}, r"translation along \(0.8776, 0.4794\);"),
         (2, {"hold": [(0, 0)], "load": -1.0}, "only contact supports .* the load moves it: translation along y;"),
         (2, {"hold": [(1, 0)]}, "translation along x;"),
+        (2, {"hold": [(1, 1)]}, "translation along x;"),  # the plane is above
         (3, {}, r"3 .* free .*: translation along x, translation along y, .* axis along z through \(0.5, 0.5, 0.5\);"),
         (3, {"angle": 0.5}, r"\(0.8776, 0, 0.4794\).*translation along y.*\(-0.4794, 0, 0.8776\) through"),
         (3, {"hold": [(0, 0)]}, "1 rigid body motion is free .*: translation along y;"),

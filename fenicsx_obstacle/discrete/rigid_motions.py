@@ -161,11 +161,12 @@ def check_held(problem: BodySystem) -> np.ndarray | None:
         return None
     load = -comm.allreduce((loose * ~fixed) @ problem.elastic.array_r)
     at, D = problem.touchable, problem.weights
-    pushes = [(loose * D * sign)[:, at & np.isfinite(bound[: len(D)])] for bound, sign in problem.bounded_sides()]
-    everywhere = np.concatenate(comm.allgather(np.concatenate(pushes, axis=1)), axis=1)
+    pushes = [(basis * D * sign)[:, at & np.isfinite(bound[: len(D)])] for bound, sign in problem.bounded_sides()]
+    of_all = np.concatenate(comm.allgather(np.concatenate(pushes, axis=1)), axis=1)
+    everywhere = vectors[:, values < LOOSE].T @ of_all
     enough = np.pad(everywhere, ((0, 0), (0, max(len(loose) - everywhere.shape[1], 0))))
     directions, strength, _ = np.linalg.svd(enough, full_matrices=False)
-    free = directions[:, strength <= INDEPENDENT * strength[0]].T
+    free = directions[:, strength <= INDEPENDENT * np.linalg.norm(of_all)].T
     if len(free):
         raise InputError(
             f"{source}: the body is not supported: {len(free)} rigid body motion{'s are' if len(free) > 1 else ' is'} "
@@ -207,7 +208,9 @@ def moves_freely(problem: System, active: np.ndarray) -> str | None:
     resists |= np.sum(problem.gaps(), axis=0) <= FORCELESS * problem.extent
     there = loose[:, resists & problem.touchable]
     values = np.linalg.eigvalsh(problem.comm.allreduce(there @ there.T))
-    if values[0] > INDEPENDENT * values[-1]:
+    # of a motion with displacements of one size everywhere
+    usual = total(problem.comm, np.count_nonzero(resists & problem.touchable)) / problem.dofs
+    if values[0] > INDEPENDENT * max(values[-1], usual):
         return None
     return (
         "only contact supports the body, and a rigid body motion is resisted by no contact force, so that u is "
