@@ -34,6 +34,7 @@ class FreeRows(NamedTuple):
         unbalanced: Its unbalanced forces.
         noise: Their round-off, >= 0.
         eps: Penalty parameter; None for the inequality.
+        of_body: Whether nodes have several rows.
     """
 
     A: sparse.csr_matrix
@@ -45,6 +46,7 @@ class FreeRows(NamedTuple):
     unbalanced: np.ndarray
     noise: np.ndarray
     eps: float | None
+    of_body: bool
 
 
 class Distance(NamedTuple):
@@ -96,7 +98,7 @@ def free_rows(
     free = ~of_all.pop()
     D, low, high, w, left, rounded, forces = (values[free] for values in of_all)
     A = A[free][:, free]
-    return FreeRows(A, A @ w - forces, D, low, high, w, left, rounded, eps)
+    return FreeRows(A, A @ w - forces, D, low, high, w, left, rounded, eps, bool(system.preconditioner))
 
 
 def distance(p: FreeRows, factors: SuperLU) -> Distance | None:

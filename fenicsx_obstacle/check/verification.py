@@ -13,19 +13,20 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.stopping import TOLERANCE, small_correction
+from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
+from fenicsx_obstacle.algebra.stopping import may_be_left, round_off, small_correction
 from fenicsx_obstacle.algebra.vi import AT_BOUND
 from fenicsx_obstacle.check.again import other_units, reversed_rows, solved
-from fenicsx_obstacle.check.finding import Finding, Reason, Verification
+from fenicsx_obstacle.check.finding import Finding, Reason, Verification, violated
 from fenicsx_obstacle.check.reference import FreeRows, distance, free_rows, is_small, positive_factors
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.contact import Contact, contact_of
 from fenicsx_obstacle.parallel import largest, on_root, smallest, total
 
-EPSILON = float(np.finfo(float).eps)
-ROUNDED = 8 * EPSILON  # of the sum of the absolute values of what is added
+ROUNDED = ROUNDOFF_MARGIN * EPSILON  # of the sum of the absolute values of what is added
 BY_MEANS = 1e-8  # of the range of u: as `AT_BOUND`, for contact that is not at nodes
+TINY = 1e-300
 SAME = 1e-9  # relative: areas and forces of one pressure
 
 # the fields of a contact of bodies, and what the record says of it
@@ -95,8 +96,9 @@ class State:
 
     @property
     def left(self) -> float:
-        """The sum of unbalanced forces that solvers may leave: their tolerance, or round-off (collective)."""
-        return TOLERANCE * self.forces + total(self.problem.comm, self.noise)
+        """The sum of unbalanced forces that solvers may leave, and the round-off of computing it anew (collective)."""
+        floor = ROUNDOFF_MARGIN * round_off(self.problem, np.where(self.problem.fixed, 0.0, self.stiffness))
+        return may_be_left(self.forces, floor) + total(self.problem.comm, self.noise)
 
     def largest(self, values: Any) -> float:
         """Largest absolute value over all ranks (collective)."""
@@ -132,30 +134,49 @@ def verify(problem: Problem, solution: Any, of_body: Published | None = None) ->
     Raises:
         InputError: If the solution is of another mesh or element, or of a step in time.
     """
+    _check_kind(problem, solution)
+    numbers = _numbers(problem, solution)
+    if not numbers.held:  # nothing can be computed from such values
+        return Verification((numbers,))
     state = _taken(problem, solution)
     of_contact, contact = _contact(state, solution)
-    found = [*_values(state), *contact_law(state), balance(state), _moved(state), *of_contact]
+    found = [numbers, _given_values(state), *contact_law(state), balance(state), _moved(state), *of_contact]
     found.append(_published(state, solution, of_body, contact))
-    if is_small(problem):
+    if is_small(problem) and not violated(found):  # what is wrong already needs no more solves
         rows = free_rows(problem, state.eps, state.elastic, state.unbalanced, state.noise)
         moved = small_correction(problem)
-        found += on_root(problem.comm, lambda: _solved_again(rows, state.size, moved))
+        found += on_root(problem.comm, lambda: solved_again(rows, state.size, moved))
     return Verification(tuple(found))
 
 
-def _taken(problem: Problem, solution: Any) -> State:
-    """A solution as the state of its problem, with the data anew (collective).
+def _check_kind(problem: Problem, solution: Any) -> None:
+    """Check that a solution is one of the mesh, the element and the kind of a problem (collective).
 
     Raises:
-        InputError: If the solution is of another mesh or element, or of a step in time.
+        InputError: Otherwise.
     """
     if not problem.at_rest:
         raise InputError(f"{problem.source}: verify: a step in time has no check; equilibria have")
-    comm, u_values = problem.comm, solution.u.x.array[: problem.owned]
     ours = problem.solution(), problem.in_q(np.zeros(len(problem.weights)))
     theirs = solution.u, solution.pressure
-    if total(comm, [len(one.x.array) != len(other.x.array) for one, other in zip(ours, theirs, strict=True)]) > 0:
+    other = [len(one.x.array) != len(known.x.array) for one, known in zip(theirs, ours, strict=True)]
+    if total(problem.comm, other) > 0:
         raise InputError(f"{problem.source}: verify: the solution is of another mesh or element")
+
+
+def _numbers(problem: Problem, solution: Any) -> Finding:
+    """u, p and the figures of the record are numbers."""
+    record = solution.record
+    sides = [record["contact"][side]["force"] for side in ("lower", "upper") if side in record["contact"]]
+    figures = [record[key] for key in ("eps", "energy", "penetration", "u_range")] + [record["contact"]["area"], *sides]
+    values = solution.u.x.array, solution.pressure.x.array, np.array([one for one in figures if one is not None], float)
+    bad = sum(total(problem.comm, np.count_nonzero(~np.isfinite(some))) for some in values)
+    return Finding(Reason.NUMBERS, "u, p, record", bad, 0.0)
+
+
+def _taken(problem: Problem, solution: Any) -> State:
+    """A solution as the state of its problem, with the data anew (collective)."""
+    comm, u_values = problem.comm, solution.u.x.array[: problem.owned]
     problem.renew(stiffness=True)
     problem.set_reference(u_values)
     problem.judge_load()
@@ -173,15 +194,10 @@ def _taken(problem: Problem, solution: Any) -> State:
     return State.of(problem, problem.in_components(u_values), p, solution.eps, size, stiffness, terms)
 
 
-def _values(s: State) -> list[Finding]:
-    """u and p are numbers, and u has the given values."""
-    problem, comm = s.problem, s.problem.comm
-    bad = sum(total(comm, np.count_nonzero(~np.isfinite(values))) for values in (s.u, s.p))
-    off = largest(comm, np.abs(problem.u - s.u)[problem.fixed])
-    return [
-        Finding(Reason.NUMBERS, "u, p", bad, 0.0),
-        Finding(Reason.GIVEN_VALUES, "u in V", max(off, 0.0), ROUNDED * s.size),
-    ]
+def _given_values(s: State) -> Finding:
+    """u has the given values."""
+    off = largest(s.problem.comm, np.abs(s.problem.u - s.u)[s.problem.fixed])
+    return Finding(Reason.GIVEN_VALUES, "u in V", max(off, 0.0), ROUNDED * s.size)
 
 
 def contact_law(s: State) -> list[Finding]:
@@ -275,14 +291,13 @@ def _share(values: np.ndarray, known: np.ndarray, limit: float) -> float:
     if values.shape != known.shape:
         return np.inf
     same = (values == known) | (np.isnan(values) & np.isnan(known))
-    off = np.abs(values - known, where=~same, out=np.zeros(values.shape))
-    off[~same & ~np.isfinite(off)] = np.inf
-    return float(np.max(off, initial=0.0) / limit) if off.any() else 0.0
+    off = np.abs(values[~same] - known[~same])
+    return float(np.max(np.where(off <= limit, off / max(limit, TINY), np.inf), initial=0.0))
 
 
-def _solved_again(p: FreeRows | None, size: float, moved: float) -> list[Finding]:
+def solved_again(p: FreeRows | None, size: float, moved: float) -> list[Finding]:
     """The small problem has this one solution, by another method, in other units and on one rank (on rank 0)."""
-    factors = None if p is None or not np.isfinite(p.w).all() else positive_factors(p.A)
+    factors = None if p is None else positive_factors(p.A)
     if p is None or factors is None:
         return []
     found, known, one = [], distance(p, factors), solved(p)
