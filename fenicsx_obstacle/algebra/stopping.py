@@ -24,7 +24,7 @@ from fenicsx_obstacle.algebra.data_scales import (
     negligible_force,
     stiffness_of,
 )
-from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.parallel import largest, total
 
 _log = logging.getLogger(__name__)
@@ -200,11 +200,14 @@ class Stopping:
         left = total(problem.comm, moved)
         del stiffness, moved
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        if left <= small_correction(problem) + rounded:
+        small = small_correction(problem)
+        if left <= small + rounded:
             return True
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
-        return not problem.affine and self._vain >= IN_VAIN
+        # a bound's line search may stand still: it goes by the norm of all forces, round-off of a stiff part included
+        stands = self.exact_bounds and left > LIMIT / SMALL_CORRECTION * small
+        return not (problem.affine or stands) and self._vain >= IN_VAIN
 
     @property
     def row_by_row(self) -> bool:
