@@ -135,9 +135,10 @@ def settled(
     """
     outcome = attempts(how)
     for _ in range(MAX_REFERENCE_UPDATES):
-        if is_final(outcome) or not problem.update_reference(roundoff_limited=outcome.roundoff_limited):
+        limited = outcome.roundoff_limited or outcome.from_afar
+        if is_final(outcome) or not problem.update_reference(roundoff_limited=limited):
             break
-        if _in_balance(outcome, how["tolerance"]):
+        if not outcome.from_afar and _in_balance(outcome, how["tolerance"]):
             break
         outcome = joined(outcome, attempts({**how, "least": 0, "before": outcome.active}))
     return outcome

@@ -47,6 +47,7 @@ class Outcome:
         seconds: Time of the iteration.
         reason: PETSc's reason.
         roundoff_limited: Balance was only reached up to the round-off of w.
+        from_afar: The round-off of w exceeds the tolerance, and hardly any of it is that of u.
         active: Which obstacle holds each owned node, as in `Stopping.before`.
         eps: Penalty parameter of the solution in units of u/p; None without a penalty.
     """
@@ -58,6 +59,7 @@ class Outcome:
     seconds: float
     reason: int
     roundoff_limited: bool = False
+    from_afar: bool = False
     active: np.ndarray | None = None
     eps: float | None = None
 
@@ -153,7 +155,8 @@ def run(
     reason = snes.getConvergedReason() if finished else PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
-        time.perf_counter() - start, reason, stopping.roundoff_limited, stopping.before,
+        time.perf_counter() - start, reason, stopping.roundoff_limited,
+        stopping.from_afar, stopping.before,
     )  # fmt: skip
     for owner in (x, residual):
         owner.destroy()

@@ -25,7 +25,7 @@ from fenicsx_obstacle.algebra.data_scales import (
     stiffness_of,
 )
 from fenicsx_obstacle.algebra.separate_parts import SeparateParts
-from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.parallel import largest, total
 
 _log = logging.getLogger(__name__)
@@ -85,6 +85,7 @@ class Stopping:
         touching: Gap up to which a node touches a bound (SNES VI only).
         monitor: Called after each step.
         roundoff_limited: Balance was only reached up to the round-off of w.
+        from_afar: The round-off of w exceeds the tolerance, and hardly any of it is that of u.
         exact: Linear systems have to be solved to the end, as Newton has cycled with inexact ones.
         uneven: The same, as the forces of some part are small beside others.
         before: Which obstacle held each owned node at the last state, -1 lower, 1 upper, 0 none; before the first
@@ -102,6 +103,7 @@ class Stopping:
     touching: float = 0.0
     monitor: StepMonitor | None = None
     roundoff_limited: bool = False
+    from_afar: bool = False
     exact: bool = False
     uneven: bool = False
     before: np.ndarray | None = None
@@ -143,8 +145,9 @@ class Stopping:
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._correction_is_done(elastic)
+        balanced = unbalanced <= may_be_left(forces, floor, self.tolerance) and self._correction_is_done(elastic)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
+        self.from_afar = balanced and floor > self.tolerance * forces and self._counts_from_afar(active)
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
             self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
@@ -201,12 +204,15 @@ class Stopping:
         np.abs(np.divide(moved, stiffness, out=moved, where=stiffness > 0), out=moved)
         left = total(problem.comm, moved)
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        if left <= small_correction(problem) + rounded:
+        small = small_correction(problem)
+        if left <= small + rounded:
             self.uneven = self._is_uneven(moved, stiffness) and not small_in_parts(problem, moved)
             return not self.uneven
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
-        return not problem.affine and self._vain >= IN_VAIN
+        # a bound's line search may stand still: it goes by the norm of all forces, round-off of a stiff part included
+        stands = self.exact_bounds and left > LIMIT / SMALL_CORRECTION * small
+        return not (problem.affine or stands) and self._vain >= IN_VAIN
 
     def _is_uneven(self, moved: np.ndarray, stiffness: np.ndarray) -> bool:
         """Whether some |r_i|/A_ii is more than `UNEVEN` of w there and around (collective).
@@ -248,13 +254,16 @@ class Stopping:
         return same and min(step.unbalanced for step in last[1:]) >= last[0].unbalanced
 
     def round_off(self) -> float:
-        """The round-off of exact balance (collective): machine epsilon times |A| |w|, row by row.
+        """The round-off of exact balance (collective)."""
+        return round_off(self.problem, self._stiffness())
 
-        Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and unit
-        round-off is half of epsilon.
-        """
-        stiffness = self._stiffness()
-        return EPSILON * total(self.problem.comm, np.dot(stiffness, np.abs(self.problem.w)))
+    def _counts_from_afar(self, active: np.ndarray) -> bool:
+        """Whether most of the round-off is that of a reference r far from u, as of an obstacle that was near the start
+        (collective)."""
+        problem = self.problem
+        stiffness = np.where(problem.active_dofs(active != 0), 0.0, self._stiffness())
+        far, near = (total(problem.comm, stiffness * np.abs(values)) for values in (problem.w, problem.u))
+        return near < SMALLER * far
 
     @cached_property
     def _nothing(self) -> float:
@@ -271,6 +280,30 @@ class Stopping:
         key = tuple(digests)
         self._seen[key] = self._seen.get(key, 0) + 1
         return self._seen[key] > 1
+
+
+def may_be_left(forces: float, floor: float, tolerance: float = TOLERANCE) -> float:
+    """The largest sum of unbalanced forces of a solution.
+
+    Args:
+        forces: Sum of the acting forces.
+        floor: The round-off of exact balance.
+        tolerance: Unbalanced force over acting forces.
+    """
+    return max(tolerance * forces, floor)
+
+
+def round_off(problem: System, stiffness: np.ndarray) -> float:
+    """The round-off of exact balance (collective): machine epsilon times |A| |w|, row by row.
+
+    Rows of a stiffness matrix sum to about 0, so |A| |w| is about twice its diagonal part, and unit round-off is half
+    of epsilon.
+
+    Args:
+        problem: Holds w.
+        stiffness: Diagonal of A at owned free dofs, with the penalty diagonal where there is one; 0 at fixed dofs.
+    """
+    return EPSILON * total(problem.comm, np.dot(stiffness, np.abs(problem.w)))
 
 
 def small_correction(problem: System) -> float:

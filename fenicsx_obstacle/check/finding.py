@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,33 @@ class Verdict(Enum):
     WRONG = "wrong"
 
 
+class Reason(StrEnum):
+    """The invariant that a wrong solution violates; its value is the name of the row."""
+
+    NUMBERS = "values that are no numbers"
+    GIVEN_VALUES = "u has the given values"
+    OBSTACLES = "u between the obstacles"
+    PENALTY = "p = -(u - g)^+/eps"
+    COMPLEMENTARITY = "no pressure without contact"
+    BALANCE = "forces at nodes balance"
+    CORRECTION = "forces that are left move u"
+    CONTACT = "nodes in contact that are not, or the reverse"
+    AREA = "area of contact"
+    FORCE = "contact forces"
+    PUBLISHED = "fields and figures, over what they may differ by"
+    ENERGY_NORM = "u of active sets and a direct solver"
+    LARGEST_DIFFERENCE = "the same, largest difference"
+    UNITS_COUNTS = "steps and contact in other units"
+    UNITS_VALUES = "u in other units"
+    RANKS = "u on one rank, rows reversed"
+
+
 @dataclass(frozen=True)
 class Finding:
     """One invariant of one answer; the same on every rank.
 
     Attributes:
-        name: In a few words.
+        name: In a few words; of solutions a `Reason`.
         statement: Of the theory.
         observed: What is measured.
         limit: What it may be at most.
@@ -73,6 +94,12 @@ class Verification:
     def verdict(self) -> Verdict:
         """Whether all that should hold holds."""
         return Verdict.WRONG if violated(self.findings) else Verdict.RIGHT
+
+    @property
+    def reason(self) -> Reason | None:
+        """The first invariant that is violated; None of a right solution."""
+        wrong = violated(self.findings)
+        return Reason(wrong[0].name) if wrong else None
 
     def __bool__(self) -> bool:
         return self.verdict is Verdict.RIGHT

@@ -1,6 +1,8 @@
-"""An own solution of small problems: primal-dual active sets with the sparse direct solver of SciPy, on rank 0.
+"""A second solution of small problems: primal-dual active sets with the sparse direct solver of SciPy, on rank 0.
 
-Nothing of the solvers is used but the matrix, the load, the weights and the obstacles.
+The problem is the linear one with the derivative of the residual at the checked state, A = F'(u), and the load
+A u - F(u). Of a linear F that is the problem itself; of any other F a solution solves it too. Nothing of the solvers is
+used but the matrix, the residual, the weights and the obstacles.
 """
 
 from __future__ import annotations
@@ -10,66 +12,134 @@ from typing import Any, NamedTuple
 import numpy as np
 from petsc4py import PETSc
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.parallel import gathered, on_root
+from fenicsx_obstacle.parallel import gathered
 
 LARGEST = 20_000  # unknowns
 STEPS = 100
+
+
+class FreeRows(NamedTuple):
+    """The linear problem at free dofs, in the order of their global numbers, on one rank. The unknown is w = u - r.
+
+    Attributes:
+        A: The derivative of the residual.
+        load: A w - F(u).
+        weights: D, 0 where nothing can touch.
+        lower: Lower obstacle minus r, -inf where there is none.
+        upper: Upper obstacle minus r, inf where there is none.
+        w: The checked state.
+        unbalanced: Its unbalanced forces.
+        noise: Their round-off, >= 0.
+        eps: Penalty parameter; None for the inequality.
+        of_body: Whether nodes have several rows.
+    """
+
+    A: sparse.csr_matrix
+    load: np.ndarray
+    weights: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    w: np.ndarray
+    unbalanced: np.ndarray
+    noise: np.ndarray
+    eps: float | None
+    of_body: bool
 
 
 class Distance(NamedTuple):
     """How far a state is from the solution of active sets.
 
     Attributes:
-        apart: In the energy norm.
-        reach: What the unbalanced forces r and their round-off explain: the root of r' A^-1 r.
-        stiffness: Root of the sum of A_ii over free dofs: what a change by 1 at each node may be in the energy norm.
+        apart: In the energy norm, which is that of the symmetric part S of A.
+        reach: What the unbalanced forces r and their round-off explain: the root of r' S^-1 r.
+        largest: Largest difference at a node.
+        moved: What the round-off of the forces moves a node by, at most.
+        stiffness: Root of the sum of A_ii: what a change by 1 at each node may be in the energy norm.
     """
 
     apart: float
     reach: float
+    largest: float
+    moved: float
     stiffness: float
 
 
-def distance(system: System, eps: float | None, unbalanced: np.ndarray, noise: np.ndarray) -> Distance | None:
-    """The distance of the state of a small linear symmetric problem with contact at dofs from its solution; None of
-    other problems, of one that contact alone holds, and where active sets do not settle (collective).
+def is_small(system: System) -> bool:
+    """Whether a problem is solved again: contact is at nodes, and more than contact holds u."""
+    return system.nodal and not system.floating and system.dofs <= LARGEST
+
+
+def free_rows(
+    system: System, eps: float | None, elastic: np.ndarray, unbalanced: np.ndarray, noise: np.ndarray
+) -> FreeRows | None:
+    """The linear problem of a state on rank 0; None on other ranks (collective).
 
     Args:
         system: Holds the state.
         eps: Penalty parameter; None for the inequality.
-        unbalanced: The unbalanced forces at owned dofs.
+        elastic: F(u) at owned dofs.
+        unbalanced: The unbalanced forces.
         noise: Their round-off, >= 0.
     """
-    linear = system.affine and system.symmetric and system.has_energy
-    if not linear or not system.nodal or system.floating or system.dofs > LARGEST:
-        return None
-    u_values = system.u
-    u_values[system.fixed] = system.given[system.fixed]
-    lower, upper = (np.broadcast_to(side, len(u_values)) for side in system.obstacles())
+    x = system.vector()
+    A = gathered_matrix(system.jacobian(x, penalised=False))
+    x.destroy()
+    sides = [np.broadcast_to(none if gap is None else gap, system.owned)
+             for gap, none in ((system.below, -np.inf), (system.above, np.inf))]  # fmt: skip
+    lower, upper = (np.where(system.touchable, side, none) for side, none in zip(sides, (-np.inf, np.inf), strict=True))
     weights = np.where(system.touchable, system.weights, 0.0)
-    load = -system.matrices.minus_load.array_r
-    owned = u_values, lower, upper, load, weights, unbalanced, noise, system.fixed
-    A = gathered_matrix(system.matrices.stiffness)
-    parts: list[Any] = [gathered(system.comm, values) for values in owned]
-    return on_root(system.comm, lambda: _distance(eps, A, *parts))
+    owned = weights, lower, upper, system.w, unbalanced, noise, elastic, system.fixed
+    of_all: list[Any] = [gathered(system.comm, values) for values in owned]
+    if A is None:
+        return None
+    free = ~of_all.pop()
+    D, low, high, w, left, rounded, forces = (values[free] for values in of_all)
+    A = A[free][:, free]
+    return FreeRows(A, A @ w - forces, D, low, high, w, left, rounded, eps, bool(system.preconditioner))
 
 
-def _distance(
-    eps: float | None, A: sparse.csr_matrix, u: np.ndarray, lower: np.ndarray, upper: np.ndarray, load: np.ndarray,
-    weights: np.ndarray, unbalanced: np.ndarray, noise: np.ndarray, fixed: np.ndarray,
-) -> Distance | None:  # fmt: skip
-    """On rank 0, of all dofs, in the order of their global numbers."""
-    free, held = np.flatnonzero(~fixed), np.flatnonzero(fixed)
-    forces, A = load[free] - A[free][:, held] @ u[held], A[free][:, free].tocsc()
-    w = active_sets(A, forces, weights[free], lower[free], upper[free], u[free], eps)
+def distance(p: FreeRows, factors: SuperLU) -> Distance | None:
+    """The distance of a state from the solution of active sets; None where these do not settle.
+
+    With e the difference of two solutions whose forces are unbalanced by r, and p decreasing in u, e' S e <= e' r.
+
+    Args:
+        p: The problem and the state.
+        factors: Those of the symmetric part S of A.
+    """
+    w = active_sets(p.A.tocsc(), p.load, p.weights, p.lower, p.upper, p.w, p.eps)
     if w is None:
         return None
-    e, solve = u[free] - w, splu(A).solve if len(free) else (lambda forces: forces)
-    reach = sum(np.sqrt(np.abs(left @ solve(left))) for left in (unbalanced[free], 2 * noise[free]))
-    return Distance(float(np.sqrt(max(e @ (A @ e), 0.0))), float(reach), float(np.sqrt(A.diagonal().sum())))
+    e = p.w - w
+    reach = sum(energy_norm_of(left, factors) for left in (p.unbalanced, 2 * p.noise))
+    moved, stiffness = np.abs(factors.solve(2 * p.noise)).max(), np.sqrt(p.A.diagonal().sum())
+    return Distance(energy_norm(e, p.A), reach, float(np.abs(e).max()), float(moved), float(stiffness))
+
+
+def energy_norm(e: np.ndarray, A: sparse.csr_matrix) -> float:
+    """The root of e' A e, which is e' S e."""
+    return float(np.sqrt(max(e @ (A @ e), 0.0)))
+
+
+def energy_norm_of(forces: np.ndarray, factors: SuperLU) -> float:
+    """The energy norm of S^-1 times forces."""
+    return float(np.sqrt(np.abs(forces @ factors.solve(forces))))
+
+
+def positive_factors(A: sparse.csr_matrix) -> SuperLU | None:
+    """Factors of the symmetric part of A with pivots on the diagonal; None unless it is positive definite."""
+    S = ((A + A.T) / 2).tocsc()
+    if not (S.shape[0] and np.isfinite(S.data).all()):
+        return None
+    try:
+        factors = splu(S, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError:  # singular
+        return None
+    in_order = np.array_equal(factors.perm_r, factors.perm_c)
+    return factors if in_order and (factors.U.diagonal() > 0).all() else None
 
 
 def active_sets(

@@ -67,6 +67,7 @@ from fenicsx_obstacle.text import shown
 if TYPE_CHECKING:
     from fenicsx_obstacle.check.finding import Verification
     from fenicsx_obstacle.estimation.bound import Estimator
+    from fenicsx_obstacle.estimation.contact import Contact
 
 Monitor = Callable[[int, Step], None]
 
@@ -368,7 +369,21 @@ class ObstacleProblem:
 
         check_not_moved(self.level, self._vertices, self.name)
         with releases.compiled_with(*self._compiled):
-            return verify(self._problem, solution)
+            return verify(self._problem, solution, self._of_contact(solution) if self._vector_valued else None)
+
+    def _of_contact(self, solution: Solution) -> Callable[[Contact], tuple[Any, dict[str, Any]]]:
+        """Makes the fields of a body, and what its record says of contact, from the state of the problem."""
+        from fenicsx_obstacle.problems.vector_valued import vector_fields
+
+        def made(contact: Contact) -> tuple[Any, dict[str, Any]]:
+            kept, von_mises = self.u.x.array.copy(), None
+            if self._von_mises is not None:
+                self.u.x.array[:] = solution.u.x.array
+                von_mises = self._von_mises()
+                self.u.x.array[:] = kept
+            return vector_fields(self._problem, contact, solution.fields, von_mises)
+
+        return made
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> tuple[Outcome, State]:
         """Solve, into u (collective)."""
