@@ -33,7 +33,10 @@ class ObstacleExcess(CoveredObstacle):
         nodal: sign times its nodal values at local dofs.
         mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell, with the weight of
             integrals if they have one.
+        divisions: Where u may touch, the second one in cells where the first leaves something rough.
     """
+
+    divisions = SHARPER
 
     def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Pieces):
         """Compare it with its interpolant (collective); the arguments are those of `CoveredObstacle`."""
@@ -44,8 +47,8 @@ class ObstacleExcess(CoveredObstacle):
         low, high = _least(self.nodal, simplices.dofs), -_least(-self.nodal, simplices.dofs)
         bottom = known.lower if sign > 0 else -known.upper
         self.mean, self._height = np.maximum(bottom - high, LOWEST), np.maximum(self._top - low, 0.0)
-        # how many of SHARPER are done in each cell
-        self._done = np.full(len(simplices.area), len(SHARPER) if self._flat else 0)
+        # how many of `divisions` are done in each cell
+        self._done = np.full(len(simplices.area), len(self.divisions) if self._flat else 0)
 
     def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
         """Heights and means in some cells; above the interpolant, and in all."""
@@ -101,12 +104,12 @@ class ObstacleExcess(CoveredObstacle):
     def _near(self, u: np.ndarray) -> np.ndarray:
         """Cells in which u may touch the obstacle, whose excess becomes known sharper there (collective)."""
         self._size = largest(self.simplices.data.level.comm, np.abs(u))
-        for done, division in enumerate(SHARPER):
+        for done, division in enumerate(self.divisions):
             near = self._may_touch(u)
             new = np.flatnonzero(near & (self._done == done))
             pieces = in_cells(self.simplices, self._field, division, new)
             self._take(new, pieces)
-            self._done[new] = np.where(pieces.rough, done + 1, len(SHARPER))
+            self._done[new] = np.where(pieces.rough, done + 1, len(self.divisions))
         return near
 
     def _may_touch(self, u: np.ndarray) -> np.ndarray:
