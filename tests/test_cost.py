@@ -124,7 +124,7 @@ def test_ladder_of_a_string(folder):
     solved = {row["choice"] for row in price.solved(rows)}
     assert solved >= {"P1 VI", "P1 VI cold", "P1 eps = h^2", "P1 auto", "P1 adaptive"}
     failed = {row["choice"]: row["reason"] for row in price.failures(rows)}
-    assert all("not for P2 on interval cells" in failed[name] for name in ("P2 adaptive",))
+    assert not any(name.startswith("P2") for name in failed)
     assert set(one.ends) == {choice.name for choice in one.choices}
     for row in price.solved(rows):
         if row["parts"]:

@@ -1,7 +1,7 @@
 """An obstacle less the part of a function of P2 on intervals that is 0 at the vertices.
 
 u of P2 is u_1 of P1 plus B = 4 b t (1 - t) in each cell, t from 0 to 1. It is above an obstacle where u_1 is above the
-obstacle less B: the excess of this obstacle over its nodal interpolant raises u_1, and with it u.
+obstacle less B: the excess of this obstacle raises u_1, and with it u.
 """
 
 from __future__ import annotations
@@ -137,18 +137,25 @@ class _CurvedCells(Enclosed):
 
 
 class CurvedExcess(ObstacleExcess):
-    """The excess of an obstacle less B over its nodal interpolant, that of the obstacle itself."""
+    """The excess of an obstacle less B over the nodal maximum of u_1 and the obstacle."""
 
-    divisions = (Division(0, 1e-4), Division(4, 1e-4, 1e-4))
+    divisions, least_height = (Division(0, 1e-4), Division(4, 1e-4, 1e-4)), -np.inf
 
     def __init__(
         self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Pieces,
-        bubble: np.ndarray,
+        linear: np.ndarray, bubble: np.ndarray,
     ):  # fmt: skip
-        """Compare it with its interpolant (collective); the arguments are those of `CoveredObstacle` and `Curved`."""
-        self._itself, low, high = field, np.minimum(-bubble, 0.0), np.maximum(-bubble, 0.0)
+        """Compare it with the state (collective); other arguments are those of `CoveredObstacle` and `Curved`.
+
+        Args:
+            linear: u_1 at local dofs.
+        """
+        self._itself = field
+        low, high = np.minimum(-bubble, 0.0), np.maximum(-bubble, 0.0)
         shifted = Pieces([], known.lower + low, known.upper + high, known.sampled)
         super().__init__(simplices, dirichlet, sign, Curved(field, simplices, bubble), shifted)
+        self.nodal = np.maximum(self.floor, sign * linear)
+        self._compare(shifted)
 
     def heights(self, data: Data) -> np.ndarray:
         """See `CoveredObstacle.heights`."""

@@ -207,7 +207,7 @@ class ElementP1(Element):
                 inside[given] = state[given]
                 state[:] = inside
         for excess in self.obstacles:
-            inside = excess.sign * np.maximum(excess.sign * nodal, excess.nodal)
+            inside = excess.sign * np.maximum(excess.sign * nodal, excess.floor)
             inside[given] = nodal[given]
             nodal[:], v = inside, excess.sign * excess.lift(excess.sign * v)
         # of two obstacles the second one may have moved the state beyond the first

@@ -16,11 +16,11 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.estimation.cell_data import Load, of_solver, tension_of
+from fenicsx_obstacle.estimation.cell_data import Load, obstacles_of, of_solver, tension_of
 from fenicsx_obstacle.estimation.curved_obstacle import CurvedExcess
 from fenicsx_obstacle.estimation.element import Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
-from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1
+from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.multipliers import pushes
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.reactions import Reaction
@@ -75,6 +75,8 @@ class EquilibrationP2OnIntervals(EquilibrationP1):
         self._data, self.space = data, data.level.V
         self.nodes = simplices.turned_nodes(releases.cell_dofs(self.space)[: len(simplices.area)])
         super().__init__(simplices, None)
+        obstacles = data.model.lower, data.model.upper
+        self._continuous = [one is not None and (one.uniform or one.continuous) for one in obstacles]
         tension = tension_of(data)
         assert tension is not None  # by `check_bound_exists`
         mu = np.broadcast_to(of_solver(simplices, data, tension, POINTS, positive=True), (len(self.mu), len(POINTS)))
@@ -92,6 +94,26 @@ class EquilibrationP2OnIntervals(EquilibrationP1):
         found = np.zeros(len(self.simplices.given), dtype=values.dtype)
         found[releases.cell_dofs(self.level.V)] = values[releases.cell_dofs(self.space)[:, :2]]
         return found
+
+    def flux(
+        self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
+        gaps: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+    ) -> FluxP1:  # fmt: skip
+        """See `EquilibrationP1.flux`; where mu u_h' jumps at a contact node, sigma jumps too (collective)."""
+        flux, simplices = super().flux(u, touches_lower, touches_upper, gaps), self.simplices
+        outward = -simplices.along_normals(self.pulled(simplices.gradient(u)))[:, ::-1]  # at the vertices
+        outward -= (4 * self.mu * _bubble(self._nodal) / simplices.area)[:, None]
+        jump, half = simplices.around.sums(outward), simplices.area[:, None] / 2
+        normal, spread, self.at_points = flux.normal.copy(), [], []
+        for sign, multiplier, continuous in zip((1.0, -1.0), (flux.lower, flux.upper), self._continuous, strict=True):
+            whole = simplices.around.sums(half * multiplier)
+            share = np.clip(sign * jump, 0.0, whole) / np.where(whole > 0, whole, 1.0)
+            share[simplices.given | ~continuous] = 0.0
+            force = half * multiplier * share[simplices.dofs]
+            normal += sign * force[:, ::-1]
+            spread.append(multiplier - force / half)
+            self.at_points.append(force)
+        return replace(flux, lower=spread[0], upper=spread[1], normal=normal)
 
     def _reaction(self, foundation: Field | None) -> Reaction:
         return QuadraticReaction(self.simplices, foundation, self._data)
@@ -141,16 +163,20 @@ class ElementP2OnIntervals(ElementP1):
         own, simplices = self.equilibration, self.simplices
         touches = [with_ghosts(own.space, owned) for owned in (touches_lower, touches_upper)]
         self._bubble = own.take(u, *touches)
+        linear, owned = own.at_vertices(u), simplices.data.level.owned
         self.obstacles = [
-            CurvedExcess(simplices, self.dirichlet, *obstacle, self._bubble) for obstacle in self.given_obstacles
+            CurvedExcess(simplices, self.dirichlet, *obstacle, linear, self._bubble)
+            for obstacle in self.given_obstacles
         ]
-        owned = simplices.data.level.owned
-        linear = own.at_vertices(u)
         terms = super().terms(linear, *(own.at_vertices(there)[:owned] for there in touches))
+        contact = terms.contact.copy()
+        for sign, _ in obstacles_of(simplices.data):
+            gap = np.maximum(sign * (terms.admissible - simplices.data.heights(sign)), 0.0)
+            contact += sums(own.at_points[0 if sign > 0 else 1] * gap[simplices.dofs])
         v, dofs = u.copy(), releases.cell_dofs(own.space)
         raised = (terms.admissible - linear)[releases.cell_dofs(simplices.data.level.V)]
         v[dofs] = u[dofs] + np.column_stack([raised, raised.mean(axis=1)])
-        return replace(terms, admissible=v)
+        return replace(terms, admissible=v, contact=contact)
 
     def energy_of(self, v: np.ndarray) -> None:
         """There are no bounds of the energy."""
