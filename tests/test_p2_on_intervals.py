@@ -89,7 +89,8 @@ def test_orders_without_contact():
 @pytest.mark.parametrize("name", STRINGS)
 def test_tolerance(name):
     """300 unknowns are enough for a certified error of 1e-6."""
-    answer = solve(catalogue.scene(f"string_{name}"), element="P2", tol=1e-6)
+    method = "vi" if name == "wedge" else "penalty"  # for the wedge eps would fall below its limit of round-off
+    answer = solve(catalogue.scene(f"string_{name}"), element="P2", tol=1e-6, method=method)
     assert answer.bound.guaranteed and answer.bound.relative <= 1e-6 and answer.record["dofs"] <= 300
     assert answer.record["errors"]["energy"] <= answer.bound.total
 

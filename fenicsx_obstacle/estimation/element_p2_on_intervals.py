@@ -108,7 +108,7 @@ class EquilibrationP2OnIntervals(EquilibrationP1):
         for sign, multiplier, continuous in zip((1.0, -1.0), (flux.lower, flux.upper), self._continuous, strict=True):
             whole = simplices.around.sums(half * multiplier)
             share = np.clip(sign * jump, 0.0, whole) / np.where(whole > 0, whole, 1.0)
-            share[simplices.given | ~continuous] = 0.0
+            share[simplices.given if continuous else slice(None)] = 0.0
             force = half * multiplier * share[simplices.dofs]
             normal += sign * force[:, ::-1]
             spread.append(multiplier - force / half)
