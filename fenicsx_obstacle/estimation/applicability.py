@@ -7,6 +7,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.effects.effect import WithTension
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.cell_data import other_effects
+from fenicsx_obstacle.estimation.flux_p1 import unknown_effects
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 
 
@@ -21,11 +22,11 @@ def check_bound_exists(problem: Problem) -> None:
         raise InputError(f"{model.source}: the error bound is for one equilibrium, not for [time]")
     mesh, pair = level.mesh, level.pair
     cell, dim = releases.cell_name(mesh), mesh.geometry.dim
-    known = pair.bounded and (dim == 2 or pair.degree == 1)
+    known = pair.bounded and (dim <= 2 or pair.degree == 1)
     if cell not in SIMPLICES or mesh.topology.dim != dim or not known:
         raise InputError(
-            f"{model.source}: the error bound is for P1 on intervals, on triangles in the plane and on tetrahedra, and "
-            f"for P2 on triangles in the plane, not for {pair.name} on {cell} cells in {dim}D"
+            f"{model.source}: the error bound is for P1 and P2 on intervals and on triangles in the plane, and for P1 "
+            f"on tetrahedra, not for {pair.name} on {cell} cells in {dim}D"
         )
     elastic = model.elastic
     if elastic.vector_valued:
@@ -43,6 +44,7 @@ def check_bound_exists(problem: Problem) -> None:
         raise InputError(
             f"{model.source}: with P2 the error bound needs the effect 'tension', with an isotropic tension"
         )
-    others = other_effects(problem.data)
+    others = unknown_effects(problem.data) if dim == 1 else other_effects(problem.data)
     if pair.degree == 2 and others:
-        raise InputError(f"{model.source}: with P2 the error bound is for tension and load, not for {others[0].key}")
+        covered = "tension, load, foundation, flux, spring and point loads" if dim == 1 else "tension and load"
+        raise InputError(f"{model.source}: with P2 the error bound is for {covered}, not for {others[0].key}")

@@ -41,6 +41,7 @@ from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2
+from fenicsx_obstacle.estimation.element_p2_on_intervals import ElementP2OnIntervals
 from fenicsx_obstacle.estimation.flux_p1 import unknown_effects
 from fenicsx_obstacle.parallel import smallest, total
 
@@ -122,7 +123,9 @@ class Estimator:
     def _prepare(self) -> None:
         """Everything that depends on mesh and data (collective)."""
         problem, comm = self.problem, self.problem.level.comm
-        self.element: Element = (ElementP2 if problem.level.pair.has_p1_coarse_space else ElementP1)(problem)
+        quadratic, dim = problem.level.pair.has_p1_coarse_space, problem.level.mesh.topology.dim
+        kind = ElementP1 if not quadratic else ElementP2OnIntervals if dim == 1 else ElementP2
+        self.element: Element = kind(problem)
         simplices, load = self.element.simplices, self.element.equilibration.load
         held = self.element.simplices.held
         self._held_somewhere = total(comm, np.count_nonzero(held)) > 0

@@ -31,8 +31,8 @@ class ElementP1(Element):
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
-        simplices = Simplices(problem.data)
-        super().__init__(EquilibrationP1(simplices, tension_of_state(problem, simplices)))
+        super().__init__(self._equilibrated(problem))
+        simplices = self.simplices
         dim, cells = simplices.dim, len(simplices.area)
         self.obstacles = [ObstacleExcess(simplices, self.dirichlet, *obstacle) for obstacle in self.given_obstacles]
         if simplices.radius is not None:
@@ -42,6 +42,20 @@ class ElementP1(Element):
         for block in blocks(cells):
             squares = sum(sums(part**2) for part in self._from_middle(block))
             self._spread[block] = squares / ((dim + 1) * (dim + 2))
+
+    @staticmethod
+    def _equilibrated(problem: Problem) -> EquilibrationP1:
+        """Cells and flux (collective)."""
+        simplices = Simplices(problem.data)
+        return EquilibrationP1(simplices, tension_of_state(problem, simplices))
+
+    def _bends(self, points: np.ndarray, cells: np.ndarray) -> np.ndarray | float:
+        """Gradients of what u has in cells beside its interpolant of P1, at barycentric points (P2 on intervals)."""
+        return 0.0
+
+    def _bent(self, cells: slice) -> np.ndarray | float:
+        """What mu times that gradient lets flow into cells through the facets opposite to their vertices."""
+        return 0.0
 
     def _from_middle(self, cells: slice) -> list[np.ndarray]:
         """Coordinates of the corners less those of the middle: they are cheaper to compute than to keep."""
@@ -86,7 +100,7 @@ class ElementP1(Element):
             raised=self._energy(v - nodal),
             penetration=self._energy(nodal - u),
             rest=self._means_squared(flux.rest), solver_rest=self._means_squared(flux.solver_rest),
-            energy=self.tension.energy_below(self.simplices.gradient(u)), admissible=v,
+            energy=self._least_energy(u), admissible=v,
             crossing=self.crossing(beyond, v), lacking=outside**2,
         )  # fmt: skip
 
@@ -193,7 +207,7 @@ class ElementP1(Element):
                 inside[given] = state[given]
                 state[:] = inside
         for excess in self.obstacles:
-            inside = excess.sign * np.maximum(excess.sign * nodal, excess.nodal)
+            inside = excess.sign * np.maximum(excess.sign * nodal, excess.floor)
             inside[given] = nodal[given]
             nodal[:], v = inside, excess.sign * excess.lift(excess.sign * v)
         # of two obstacles the second one may have moved the state beyond the first
@@ -232,7 +246,7 @@ class ElementP1(Element):
         pulled = self.equilibration.pulled(gradient)
         across, gathered, squares = np.empty(gradient.shape), np.empty(len(mu)), np.empty(len(mu))
         for block in blocks(len(mu)):
-            outward = flux.normal[block] + simplices.along_normals(pulled[:, block], block)
+            outward = flux.normal[block] + simplices.along_normals(pulled[:, block], block) + self._bent(block)
             gathered[block] = sums(outward)
             found = gathered[block] ** 2 * self._spread[block]
             for along, part in zip(across, self._from_middle(block), strict=True):
@@ -242,7 +256,7 @@ class ElementP1(Element):
 
         def fields(cells: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             sigma = simplices.flux_fields(flux.normal[cells], points, cells)
-            return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape), sigma
+            return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape) + self._bends(points, cells), sigma
 
         self.tension.integrate_distances(squares, fields, degree=1)
         load, points = self.oscillation, self.equilibration.points
@@ -260,6 +274,10 @@ class ElementP1(Element):
         cells = np.flatnonzero(reduce(np.logical_or, (e != 0)[simplices.dofs].T))
         squares[cells] = self.tension.energy_above(simplices.gradient(e, cells), cells)
         return squares
+
+    def _least_energy(self, u: np.ndarray) -> np.ndarray:
+        """A lower bound of ||mu^(1/2) grad u||_T^2."""
+        return self.tension.energy_below(self.simplices.gradient(u))
 
     def _means_squared(self, rest: np.ndarray) -> np.ndarray:
         """||.||_T^2 of the means in cells of nodal values."""

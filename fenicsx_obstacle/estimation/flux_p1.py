@@ -22,6 +22,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.effect import Effect, residual
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.axial_flux import AxialPatchFlux
 from fenicsx_obstacle.estimation.boundary_obstacles import BoundaryObstacle, boundary_obstacles
 from fenicsx_obstacle.estimation.cell_data import (
@@ -117,7 +118,7 @@ class EquilibrationP1:
         known = [] if self.unknown else others
         foundation = next((effect.value for effect in known if effect.role == "reaction"), None)
         self.points = PointForces(simplices, others)
-        self.reaction = Reaction(simplices, foundation)
+        self.reaction = self._reaction(foundation)
         obstacles = boundary_obstacles(simplices)
         self.parts = part_forces(simplices, known, self.points, [which for _, which, _ in obstacles])
         self.sides = [BoundaryObstacle(sign, self.parts, which, fields) for sign, which, fields in obstacles]
@@ -131,8 +132,29 @@ class EquilibrationP1:
         else:
             self._patch_flux = PatchFlux(simplices, self.parts, self.weighted)
         self.apart = self._patch_flux.apart
-        self.load = Load(simplices, data, tests=lambda points: points)
-        self.missing = simplices.around.sums(self.load.missing)[: self.level.owned]
+        self._sample_load()
+
+    def _reaction(self, foundation: Field | None) -> Reaction:
+        """The foundation (collective)."""
+        return Reaction(self.simplices, foundation)
+
+    def _sample_load(self) -> None:
+        """Enclose the load (collective)."""
+        self.load = Load(self.simplices, self.simplices.data, tests=lambda points: points)
+        self.missing = self.simplices.around.sums(self.load.missing)[: self.level.owned]
+
+    def _missing_at_vertices(self) -> np.ndarray:
+        """`missing` against the hat functions, at local vertices (collective)."""
+        return with_ghosts(self.level.V, self.missing)
+
+    def _mean_forces(self, u: np.ndarray) -> np.ndarray:
+        """The mean of mu grad u in each cell, as the solver has it, times the weight of integrals, shape (d, cells)."""
+        return self.pulled(self.simplices.gradient(u))
+
+    def _inside_cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """lambda and nu of contact nodes inside cells, each half of its force at both ends of the cell (P2 on
+        intervals)."""
+        return np.zeros(len(self.mu)), np.zeros(len(self.mu))
 
     def _prepare_others(self, effects: list[Effect]) -> None:
         """Their terms against the discontinuous P1 functions of single cells (collective)."""
@@ -178,16 +200,18 @@ class EquilibrationP1:
         """
         simplices, nodes, level = self.simplices, self.multipliers, self.level
         touches = [with_ghosts(level.V, owned) > 0.5 for owned in (touches_lower, touches_upper)]
-        beta = simplices.along_normals(self.pulled(simplices.gradient(u)) / -simplices.dim)
+        beta = simplices.along_normals(self._mean_forces(u) / -simplices.dim)
         given_force = force = self.parts.forces(u)
         outside = beta.copy()
         np.add.at(outside, self.parts.cells, force)
         moments = self._all_moments(u)
         drops, averaged = self._drops(outside, moments)
+        inside = self._inside_cells()
+        drops = drops + nodes.share * (inside[0] - inside[1])[:, None]
         residual = np.where(nodes.given, 0.0, -simplices.around.sums(drops) / nodes.weights)
         lower, upper = pushes(residual, *touches)
         rest = residual - lower + upper
-        of_solver = residual + np.where(nodes.given, 0.0, with_ghosts(level.V, self.missing) / nodes.weights)
+        of_solver = residual + np.where(nodes.given, 0.0, self._missing_at_vertices() / nodes.weights)
         pushed, pulled = pushes(of_solver, *touches)
         borne = tuple(side.forces((lower if side.sign > 0 else upper) * nodes.weights) for side in self.sides)
         if self.sides:
@@ -199,6 +223,7 @@ class EquilibrationP1:
             nodes.in_cells(values, there, gap) for values, there, gap in zip((lower, upper), touches, gaps, strict=True)
         )
         drops += nodes.share * (lower - upper + rest[simplices.dofs])
+        lower, upper = (values + more[:, None] for values, more in zip((lower, upper), inside, strict=True))
         return FluxP1(
             lower=lower, upper=upper, rest=rest, solver_rest=of_solver - pushed + pulled,
             normal=self._patch_flux.nearest(drops, beta, force), averaged=averaged, force=given_force, contact=borne,

@@ -30,27 +30,39 @@ class ObstacleExcess(CoveredObstacle):
     """The excess of one obstacle over its nodal interpolant, times -1 for an upper obstacle.
 
     Attributes:
-        nodal: sign times its nodal values at local dofs.
+        nodal: sign times what it is compared with at local dofs, here its nodal values.
+        floor: sign times its nodal values.
+        least_height: Smaller heights above what it is compared with are not told apart.
         mean: A lower bound of the mean of the obstacle above its nodal interpolant in each cell, with the weight of
             integrals if they have one.
+        divisions: Where u may touch, the second one in cells where the first leaves something rough.
     """
+
+    divisions, least_height = SHARPER, 0.0
 
     def __init__(self, simplices: Simplices, dirichlet: BoundaryData, sign: float, field: Field, known: Pieces):
         """Compare it with its interpolant (collective); the arguments are those of `CoveredObstacle`."""
         super().__init__(simplices, dirichlet, sign, field, known)
-        self.nodal = sign * self.heights(simplices.data)
+        self.floor = self.nodal = sign * self.heights(simplices.data)
         self._size = 0.0  # of the state
         self._flat = self._field.uniform
+        self._compare(known)
+
+    def _compare(self, known: Pieces) -> None:
+        """Heights and means from bounds alone (local)."""
+        sign, simplices = self.sign, self.simplices
         low, high = _least(self.nodal, simplices.dofs), -_least(-self.nodal, simplices.dofs)
         bottom = known.lower if sign > 0 else -known.upper
-        self.mean, self._height = np.maximum(bottom - high, LOWEST), np.maximum(self._top - low, 0.0)
-        # how many of SHARPER are done in each cell
-        self._done = np.full(len(simplices.area), len(SHARPER) if self._flat else 0)
+        self.mean, self._height = np.maximum(bottom - high, LOWEST), np.maximum(self._top - low, self.least_height)
+        # how many of `divisions` are done in each cell
+        self._done = np.full(len(simplices.area), len(self.divisions) if self._flat else 0)
 
     def _take(self, cells: np.ndarray, pieces: Pieces) -> None:
         """Heights and means in some cells; above the interpolant, and in all."""
         nodal, radius = self.nodal[self.simplices.dofs[cells]], self.simplices.radius
-        self._height[cells] = np.maximum(pieces.highest_above(nodal, self.sign, ROUND_OFF * self._size), 0.0)
+        self._height[cells] = np.maximum(
+            pieces.highest_above(nodal, self.sign, ROUND_OFF * self._size), self.least_height
+        )
         self.mean[cells] = pieces.mean_above(nodal, self.sign, None if radius is None else radius[cells])
         self._top[cells] = pieces.upper if self.sign > 0 else -pieces.lower
 
@@ -61,13 +73,13 @@ class ObstacleExcess(CoveredObstacle):
         Args:
             u: sign times the state at local dofs.
         """
-        raised = np.where(self.simplices.given, u, np.maximum(u, self.nodal))
+        raised = np.where(self.simplices.given, u, np.maximum(u, self.floor))
         if self._flat:
             return raised
         # nowhere below the obstacle: its interpolant and its height above that, or its highest value everywhere
         dofs = self.simplices.dofs
         cells, needed = np.flatnonzero(self._near(u) & (self._height > 0)), np.zeros(dofs.shape)
-        state = np.maximum(u, self.nodal)[dofs[cells]]
+        state = np.maximum(u, self.floor)[dofs[cells]]
         shifted, level = self.nodal[dofs[cells]] + self._height[cells, None], self._top[cells, None]
         to_shifted, to_level = np.maximum(shifted - state, 0.0), np.maximum(level - state, 0.0)
         cheaper = to_level.sum(axis=1, keepdims=True) < to_shifted.sum(axis=1, keepdims=True)
@@ -84,7 +96,7 @@ class ObstacleExcess(CoveredObstacle):
             v: sign times the state at local dofs.
         """
         dofs, comm = self.simplices.dofs, self.simplices.data.level.comm
-        at_nodes = largest(comm, self.nodal - v)
+        at_nodes = largest(comm, self.floor - v)
         if self._flat and not self.dirichlet.twice:
             return at_nodes
         near, outside = self._near(v), self.dirichlet.leaves
@@ -101,12 +113,12 @@ class ObstacleExcess(CoveredObstacle):
     def _near(self, u: np.ndarray) -> np.ndarray:
         """Cells in which u may touch the obstacle, whose excess becomes known sharper there (collective)."""
         self._size = largest(self.simplices.data.level.comm, np.abs(u))
-        for done, division in enumerate(SHARPER):
+        for done, division in enumerate(self.divisions):
             near = self._may_touch(u)
             new = np.flatnonzero(near & (self._done == done))
             pieces = in_cells(self.simplices, self._field, division, new)
             self._take(new, pieces)
-            self._done[new] = np.where(pieces.rough, done + 1, len(SHARPER))
+            self._done[new] = np.where(pieces.rough, done + 1, len(self.divisions))
         return near
 
     def _may_touch(self, u: np.ndarray) -> np.ndarray:

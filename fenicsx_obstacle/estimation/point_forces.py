@@ -30,6 +30,7 @@ class PointForces:
     Attributes:
         given: Whether there are any; the others are None or empty if not.
         moments: int test for each vertex of the owned cells, as the solver has it, shape (cells, 2).
+        middle: The same of the function 4 phi_0 phi_1.
         norm: Bound of ||tau||_T.
         first: int g (x - middle), g = F (delta_p - 1/|T|), shape (1, cells).
         second: int g |x - middle|^2.
@@ -47,7 +48,7 @@ class PointForces:
         given = [one for effect in effects if effect.role == "point forces" for one in cast(Any, effect.value)]
         self.given, count = len(given) > 0, len(simplices.area)
         self.moments = np.zeros((count, simplices.dim + 1))
-        self.norm, self.second, self.moved = (np.zeros(count) for _ in range(3))
+        self.norm, self.second, self.moved, self.middle = (np.zeros(count) for _ in range(4))
         self.first = np.zeros((simplices.dim, count))
         empty = np.empty(0, dtype=int)
         self.at_vertices = empty, empty, np.empty(0)
@@ -78,6 +79,7 @@ class PointForces:
         np.add.at(self.moved, cells, np.where(moves, np.abs(whole) * np.sqrt(away), 0.0))
         force = np.where(near, 0.0, force)
         np.add.at(self.moments, cells, np.stack([force * (1 - t), force * t], axis=1))
+        np.add.at(self.middle, cells, 4 * force * t * (1 - t))
         np.add.at(self.norm, cells, np.abs(force) * np.sqrt(length * (t**3 + (1 - t) ** 3) / 3))
         from_middle = (points[rows] - simplices.middle[cells, 0, None])[:, 0]
         np.add.at(self.first[0], cells, force * from_middle)

@@ -78,8 +78,11 @@ def metric(to_b: np.ndarray, to_c: np.ndarray, area: np.ndarray, mu: np.ndarray)
 
 
 def quadratics(points: np.ndarray) -> np.ndarray:
-    """The functions of P2 at barycentric points: vertices, then middles opposite to them, shape (6, points)."""
+    """The functions of P2 at barycentric points: vertices, then opposite middles, shape (6, points); on intervals the
+    middle, shape (3, points)."""
     psi = points.T
+    if len(psi) == 2:
+        return np.vstack([psi * (2 * psi - 1), 4 * psi[0] * psi[1]])
     return np.vstack([psi * (2 * psi - 1), 4 * psi[[1, 2, 0]] * psi[[2, 0, 1]]])
 
 

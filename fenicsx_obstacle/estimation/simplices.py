@@ -82,7 +82,9 @@ class Simplices:
 
     def turned_nodes(self, dofs: np.ndarray) -> np.ndarray:
         """Dofs of P2 on triangles, shape (cells, 6), in the order here: at the vertices, then at the middles opposite
-        to them."""
+        to them; on intervals, shape (cells, 3), at the vertices, then at the middle."""
+        if self.dim == 1:
+            return np.hstack([self.turned(dofs[:, :2]), dofs[:, 2:]])
         return np.hstack([self.turned(dofs[:, :3]), self.turned(dofs[:, 3:])])
 
     def on_sides(self, facets: np.ndarray) -> np.ndarray:

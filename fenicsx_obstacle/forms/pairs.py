@@ -30,7 +30,8 @@ class Pair:
         name: On the command line.
         degree: Of the Lagrange space V_h.
         rules: I for each cell, by its name: positive weights (3.6).
-        pressure: Family and degree of Q_h, whose nodes are the points of I: then I is diagonal in nodal values.
+        pressure: Family and degree of Q_h, whose nodes are the points of I: then I is diagonal in nodal values. On
+            intervals it is V_h (`pressure_on`).
         words: What it is, in a few words.
     """
 
@@ -53,6 +54,10 @@ class Pair:
             hint = f": take {others}" if others else ""
             raise InputError(f"element {self.name} is for {', '.join(self.rules)} cells, not for a {cell}{hint}")
         return self.rules[cell]
+
+    def pressure_on(self, cell: str) -> tuple[str, int]:
+        """Family and degree of Q_h on a cell."""
+        return ("Lagrange", self.degree) if cell == "interval" else self.pressure
 
     def cell_weights(self, corners: np.ndarray) -> np.ndarray:
         """Contributions of each cell to the weights D_i, if D_i is not the sum of the rule's weights; P1 only.
@@ -113,6 +118,10 @@ class Voronoi(Pair):
     bounded = False
     not_positive = "the mesh is not Delaunay, so that a Voronoi area is not positive"
 
+    def pressure_on(self, cell: str) -> tuple[str, int]:
+        """Family and degree of Q_h on a cell."""
+        return ("Lagrange", self.degree) if cell == "interval" else self.pressure
+
     def cell_weights(self, corners: np.ndarray) -> np.ndarray:
         import numpy as np
 
@@ -161,8 +170,8 @@ P1 = register(Pair("P1", 1, {cell: nodal_rule(cell) for cell in SIMPLICES}, ("La
               words="vertex rule, the weights |T|/(dim + 1) at the vertices of each cell T"))  # fmt: skip
 register(Pair("Q1", 1, {cell: nodal_rule(cell) for cell in TENSORS}, ("Lagrange", 1),
               words="trapezoid rule, weights detJ(x_i)/2^dim at the vertices of each cell"))  # fmt: skip
-register(Pair("P2", 2, {"triangle": midpoint_rule("triangle")}, ("CR", 1),
-              words="rule at edge midpoints, obstacle and pressure there"))  # fmt: skip
+register(Pair("P2", 2, {"triangle": midpoint_rule("triangle"), "interval": nodal_rule("interval", 2)}, ("CR", 1),
+              words="rule at edge midpoints, obstacle and pressure there; on intervals Simpson's rule"))  # fmt: skip
 register(Pair("Q2", 2, {cell: nodal_rule(cell, 2) for cell in ("interval", *TENSORS)}, ("Lagrange", 2),
               words="Simpson's rule in each direction"))  # fmt: skip
 register(Voronoi("P1-voronoi", 1, {cell: nodal_rule(cell) for cell in SIMPLICES[1:]}, ("Lagrange", 1),

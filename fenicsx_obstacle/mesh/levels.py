@@ -84,8 +84,9 @@ class Level:
     @cached_property
     def Q(self) -> fem.FunctionSpace:
         """Pressures, the paper's Q_h, whose nodes are the points of I (first use is collective)."""
-        same = self.pair.pressure == ("Lagrange", self.pair.degree)
-        return self.V if same and not self.vector else releases.functionspace(self.mesh, *self.pair.pressure)
+        pressure = self.pair.pressure_on(releases.cell_name(self.mesh))
+        same = pressure == ("Lagrange", self.pair.degree)
+        return self.V if same and not self.vector else releases.functionspace(self.mesh, *pressure)
 
     @cached_property
     def points(self) -> np.ndarray:

@@ -73,7 +73,8 @@ def nearby(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.nda
 
 
 def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], place: str) -> np.ndarray:
-    """Forces at points as forces at owned nodes: each loads the vertices of its cell by its barycentric coordinates.
+    """Forces at points as forces at owned nodes: each loads the vertices of its cell by its barycentric coordinates; of
+    P2 on intervals all nodes.
 
     Args:
         level: Mesh.
@@ -81,10 +82,11 @@ def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], plac
         place: Where they stand, for messages.
 
     Raises:
-        InputError: If a point is outside the mesh or has another number of coordinates, or elements are not P1.
+        InputError: If a point is outside the mesh or has another number of coordinates, or for other elements.
     """
     dim = level.mesh.geometry.dim
-    if not level.pair.nested_hierarchy:
+    quadratic = level.pair.has_p1_coarse_space and dim == 1
+    if not (level.pair.nested_hierarchy or quadratic):
         raise InputError(f"{place}: is for element P1, not for {level.pair.name}")
     points = np.zeros((len(forces), 3))
     for row, (at, _) in enumerate(forces):
@@ -99,6 +101,8 @@ def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], plac
         raise InputError(f"{place}: the point ({', '.join(f'{x:g}' for x in outside)}) is outside the mesh")
     # on an edge all cells beside it say the same: each has its share
     share = np.array([force for _, force in forces])[rows] / found[rows]
+    if quadratic:
+        weights = np.column_stack([weights * (2 * weights - 1), 4 * weights[:, 0] * weights[:, 1]])
     around = AroundNodes(level.V, releases.cell_dofs(level.V)[cells])
     return around.sums(weights * share[:, None])[: level.owned]
 

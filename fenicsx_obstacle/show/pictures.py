@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import gather
@@ -112,7 +113,8 @@ def _drawn(fields: Fields, sides: Sequence[str], symbol: str, arrays: dict[str, 
     kind, gdim = patch.cells.shape[1], int(arrays["gdim"])
     if kind == 2 and gdim > 1:
         raise InputError("intervals in the plane or in space are not drawn; open fields.xdmf in ParaView")
-    p = f"contact pressure p, computed {COMPUTED[fields.level.pair.pressure[0]]}, linear between"
+    family, _ = fields.level.pair.pressure_on(releases.cell_name(fields.level.mesh))
+    p = f"contact pressure p, computed {COMPUTED[family]}, linear between"
     if np.any(patch.fields["pressure"] != arrays["pressure"]):
         p += " (where u is given: the mean of the neighbours)"
     if kind == 2:

@@ -127,7 +127,7 @@ def loaded_strings(draw: st.DrawFn) -> LoadedString:
     asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
     asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
     return LoadedString(
-        {"shape": "interval", "cells": cells}, {"element": "P1", **asked}, 0,
+        {"shape": "interval", "cells": cells}, {"element": draw(st.sampled_from(["P1", "P2"])), **asked}, 0,
         draw(st.sampled_from(OBSTACLES)), draw(st.sampled_from(TENSIONS)),
         draw(st.sampled_from(FOUNDATIONS)), contact, draw(st.sampled_from([1.0, 10.0])),
         draw(st.sampled_from([0.0, 1.0, 30.0])), points, tuple(draw(kink) for _ in points), pressed,
