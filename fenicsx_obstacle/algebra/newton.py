@@ -101,12 +101,13 @@ def soft_eps(problem: System) -> float:
 
 
 def diagonal_of(problem: System) -> np.ndarray:
-    """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty (collective)."""
+    """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty; of several
+    fields the sums of |A_ij| (collective)."""
     if problem.affine and problem.nodal:
-        return problem.matrices.diagonal
+        return problem.matrices.scales
     state = problem.vector()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    found = diagonal.array_r.copy()
+    found = diagonal.array_r.copy() if problem.fields is None else problem.matrices.scales
     for owner in (state, diagonal):
         owner.destroy()
     return found
@@ -166,8 +167,8 @@ def smallest_eps(problem: System) -> float:
     """
     if not problem.affine or not problem.nodal:
         return 0.0
-    stiff = problem.touchable & (problem.matrices.diagonal > 0)
-    flexible = np.divide(problem.weights, problem.matrices.diagonal, out=np.zeros(len(stiff)), where=stiff)
+    stiff = problem.touchable & (problem.matrices.scales > 0)
+    flexible = np.divide(problem.weights, problem.matrices.scales, out=np.zeros(len(stiff)), where=stiff)
     return max(largest(problem.comm, flexible), 0.0) / STIFFEST
 
 

@@ -99,7 +99,7 @@ def run(
         multigrid = None
     linear: Mapping[str, Any] = {**(LINEAR if problem.symmetric else GENERAL), **problem.preconditioner}
     directly = multigrid is None and not (chosen or problem.preconditioner) and direct_first(problem.dofs)
-    if direct or not problem.nodal or directly:
+    if direct or problem.direct or not problem.nodal or directly:
         linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
     held: Multigrid | HeldRows | None = multigrid
     if problem.preconditioner and not (penalised or chosen or linear is DIRECT):

@@ -35,6 +35,7 @@ ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r 
 SMALL_CORRECTION = 1e-6  # of the range of u: the sum of |r_i|/A_ii
 SMALLER, IN_VAIN = 0.5, 3  # a correction is not smaller than half of the least before, in so many steps
 NEARLY_CONSTANT = 1e-2  # of |u|: below it the range of u is no scale
+ROUNDED = 1e-13  # of |A| |u|: what a direct solver leaves
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
@@ -134,17 +135,21 @@ class Stopping:
             return releases.NOT_A_NUMBER
         # balance in this scale holds only with the correct active set; nodes that still change then
         # carry no force (contact without pressure)
-        left = ROUNDOFF_MARGIN * self.round_off()
+        left = 0.0 if problem.fields is not None else ROUNDOFF_MARGIN * self.round_off()
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
-        floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= max(self.tolerance * forces, floor) and self._correction_is_done(elastic)
-        self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
+        floor = 0.0 if far or problem.fields is not None else left + self._nothing
+        if problem.fields is None:
+            balanced = unbalanced <= max(self.tolerance * forces, floor) and self._correction_is_done(elastic)
+            self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
+        else:
+            balanced = self._fields_balance(active, elastic, far=len(self.history) < 2 or step.changed > 0)
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
             self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
             if (
-                self.tolerance >= ON_THE_WAY
+                problem.fields is not None  # `System.checks` has what takes its place
+                or self.tolerance >= ON_THE_WAY
                 or self.roundoff_limited
                 or determined(problem, active, self._stiffness(), unbalanced)
             ):
@@ -202,6 +207,25 @@ class Stopping:
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
         return not problem.affine and self._vain >= IN_VAIN
+
+    def _fields_balance(self, active: np.ndarray, elastic: np.ndarray, *, far: bool) -> bool:
+        """Whether forces are in balance in each field, whose unit and size may be others than those of the other fields
+        (collective).
+
+        Args:
+            active: Which obstacle holds each owned dof.
+            elastic: Forces without those of contact.
+            far: Whether round-off is no reason to stop.
+        """
+        problem = self.problem
+        assert problem.fields is not None
+        count, number = problem.fields
+        load, inner = problem.matrices.forces_within()
+        held = problem.fixed | problem.active_dofs(active != 0)
+        acting = np.where(held, elastic, load - elastic), np.where(held, 0.0, inner)
+        columns = [np.bincount(number, np.abs(one), count) for one in (self._unbalanced(elastic)[1], *acting)]
+        unbalanced, forces, inner = problem.comm.allreduce(np.array(columns))
+        return bool(np.all(unbalanced <= np.maximum(self.tolerance * forces, 0.0 if far else ROUNDED * inner)))
 
     @property
     def row_by_row(self) -> bool:
