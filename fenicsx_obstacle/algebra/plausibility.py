@@ -17,7 +17,7 @@ from fenicsx_obstacle.algebra.data_scales import (
     range_of_data,
     stiffness_of,
 )
-from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
+from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, LARGEST, SADDLE, attempt, defaults, direct_first
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE, System
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -193,7 +193,7 @@ def solved(dofs: int, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, *, direct: bool 
     of such an A have pivots of pure round-off, so that one solve with them may miss x by a factor of 1000.
     """
     ways: list[Mapping[str, Any]] = [GENERAL, DIRECT] if dofs <= LARGEST else [GENERAL]
-    for options in [DIRECT] if direct else reversed(ways) if direct_first(dofs) else ways:
+    for options in [SADDLE] if direct else reversed(ways) if direct_first(dofs) else ways:
         ksp = PETSc.KSP().create(A.comm)
         ksp.setOperators(A)
         ksp.setOptionsPrefix("sensitivity_")

@@ -19,6 +19,7 @@ from fenicsx_obstacle.algebra.linear import (
     INEXACT,
     LARGEST,
     LINEAR,
+    SADDLE,
     attempt,
     check_diagonal,
     defaults,
@@ -109,6 +110,8 @@ def run(
     by_rigid_motions = bool(problem.preconditioner) and penalised and not chosen and linear is not DIRECT
     inexact = multigrid is not None or (by_rigid_motions and problem.symmetric)
     database = {**options, **(linear if multigrid is None else INEXACT)}
+    if problem.direct:
+        database |= SADDLE
     if inexact:
         database["ksp_norm_type"] = INEXACT["ksp_norm_type"]
     if user_has_set(f"{prefix}ksp_type"):

@@ -258,6 +258,10 @@ class System:
         """
         self.set_reference(self.cold_start())
 
+    def in_components(self, u_values: np.ndarray) -> np.ndarray:
+        """Values of u in the components of w."""
+        return u_values
+
     def set_unknown(self, values: np.ndarray) -> None:
         """Set u in the components of w, and the reference as `set_reference` does."""
         System.set_reference(self, values)

@@ -20,7 +20,7 @@ from fenicsx_obstacle.algebra.data_scales import EPSILON
 from fenicsx_obstacle.algebra.methods import method_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.plausibility import NEAR, displacements
-from fenicsx_obstacle.algebra.stopping import Step, StepMonitor
+from fenicsx_obstacle.algebra.stopping import ROUNDED, Step, StepMonitor
 from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.data.admissible import check_admissible
 from fenicsx_obstacle.data.data import Data
@@ -34,6 +34,7 @@ from fenicsx_obstacle.mesh.levels import of_space
 from fenicsx_obstacle.mesh.reference_cell import lagrange_degree
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.problems.form_checks import warn_of_indefinite
 from fenicsx_obstacle.problems.input_checks import check_not_moved, obstacle, vertex_digests
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from fenicsx_obstacle.text import counted, shown
@@ -181,12 +182,12 @@ class ComponentSystem(System):
 
     direct = True
     keeps_solver = True
-    hint = "; a component that neither bcs nor contact hold makes the matrix singular"
+    hint = "; a component that nothing holds makes the matrix singular: where only contact does, start at its bound"
 
     def __init__(self, residual: ResidualForm, bounds: Bounds, bcs: list[Any], name: str, prefix: str):
         """Compile and assemble."""
         u, self._bcs, self._name, self.source, self.prefix = residual.u, bcs, name, f"{name}:", prefix
-        V, self.comm, self._u = u.function_space, u.function_space.mesh.comm, u
+        V, self.comm, self._u, self._residual = u.function_space, u.function_space.mesh.comm, u, residual
         self.affine, self.symmetric = residual.affine, residual.symmetric
         self.has_energy, self.checks = residual.functional is not None, (_undetermined,)
         self._bounded = {k: Component(k, residual, sides, name) for k, sides in bounds.items()}
@@ -237,7 +238,35 @@ class ComponentSystem(System):
         self.set_reference(np.where(self.fixed, self.given, self.between(self._u.x.array[: self.owned])))
         law.assemble()
         law.take_stiffness(self.A)
-        self.load = total(self.comm, np.abs(law.forces_within()[0] - law.forces_at(self.u))[~self.fixed])
+        forces = law.forces_at(self.u)
+        if total(self.comm, ~np.isfinite(forces + law.scales)) > 0:
+            raise InputError(f"{self.source} F or its derivative is not finite at the start: is a coefficient in it?")
+        self._check_signs()
+        for gap, sign in ((self.below, 1.0), (self.above, -1.0)):
+            if gap is not None:  # contact from the first step on where F presses: nothing else may hold u
+                pressed = self.touchable & (self.w == gap) & (sign * forces > 0)
+                self.w[pressed] = np.nextafter(gap[pressed], -sign * np.inf)
+        self.load = total(self.comm, np.abs(law.forces_within()[0] - forces)[~self.fixed])
+
+    def _check_signs(self) -> None:
+        """Reject a component k whose bounds would mean the opposite: a linear F with x . A_kk x < 0 for random x, or a
+        saddle point, A_kk = 0, with equal signs off the diagonal. The inequality is F(u; v - u) >= 0."""
+        A = self.matrices.stiffness
+        x, y, z = A.createVecRight(), A.createVecLeft(), A.createVecRight()
+        for k, part in self._bounded.items():
+            x.set(0.0)
+            x.array[part.dofs] = np.random.default_rng(self.comm.rank).normal(size=len(part.dofs))
+            x.array[self.fixed] = 0.0
+            A.mult(x, y)
+            A.multTranspose(x, z)
+            own, coupled = x.dot(y), total(self.comm, (y.array_r * z.array_r)[~self._dofs[k] & ~self.fixed])
+            if (self.affine and own < 0) or (own == 0 and coupled > 0):
+                raise InputError(
+                    f"{self.source} component {k}: the terms with its test function have the wrong sign for a bound. "
+                    "F must be monotone: a(v, v) > 0, and of a saddle point - p*div(v) + q*div(u), with opposite signs"
+                )
+        for vector in (x, y, z):
+            vector.destroy()
 
     def bounded_fields(self) -> list[np.ndarray | slice]:
         return [self._dofs[k] for k in self._bounded]
@@ -253,14 +282,17 @@ class ComponentSystem(System):
         inverse iteration."""
         inner, scales = self.matrices.forces_within()[1], self.matrices.scales
         signs = np.random.default_rng(1 + self.comm.rank).choice([-1.0, 1.0], self.owned)
-        moved = displacements(self, active, EPSILON * inner * signs)
+        pressed = np.where(np.abs(self.elastic.array_r) > ROUNDED * inner, active, 0)  # not by round-off
+        moved = displacements(self, pressed, EPSILON * inner * signs)
         assert moved is not None
         zero = NEAR * np.divide(inner, scales, out=np.zeros(self.owned), where=scales > 0)  # is as good as 0
         for k, dofs in enumerate(self._dofs):
             size = max(largest(self.comm, np.maximum(np.abs(self.u), zero)[dofs]), 0.0)
-            if not largest(self.comm, np.abs(moved[dofs])) <= LIMIT * size:
+            most = largest(self.comm, np.abs(moved[dofs]))
+            if not most <= LIMIT * size:
+                which = f"component {k}" if np.isfinite(most) else "some component, such as a pressure"
                 return (
-                    f"the data do not determine component {k}: round-off changes it by more than 1 % of its size; "
+                    f"the data do not determine {which}: round-off changes it by more than 1 % of its size; "
                     "prescribe it by bcs somewhere"
                 )
         return None
@@ -274,16 +306,17 @@ class ComponentSystem(System):
         """
         method = method_of(self, options)
         outcome = method.solve(self, multigrid=None, tolerance=rtol, monitor=monitor)
+        warn_of_indefinite(self, self._residual, self._name)
         p, parts = method.pressure(self), self._bounded.items()
         self._u.x.array[: self.owned] = self.u
         self._u.x.scatter_forward()
-        gap = np.where(self.touchable, np.minimum(*self.gaps()), 0.0)
+        beyond = np.where(self.touchable, np.maximum(-np.minimum(*self.gaps()), 0.0), 0.0)
         return ComponentSolution(
             self._u.copy(), {k: part.function(p, "pressure") for k, part in parts},
             {k: part.function((p != 0).astype(float), "contact") for k, part in parts},
             {k: part.force(p[part.dofs]) for k, part in parts},
             {k: total(self.comm, part.weights[p[part.dofs] != 0]) for k, part in parts},
-            {k: max(-smallest(self.comm, gap[part.dofs]), 0.0) for k, part in parts},
+            {k: largest(self.comm, beyond[part.dofs]) for k, part in parts},
             options.method, outcome.eps, outcome.iterations, outcome.history, self._name,
         )  # fmt: skip
 

@@ -142,6 +142,7 @@ class ObstacleProblem:
                 u that has one value at each node; or a callable of x, an array of shape (3, n), as for
                 Function.interpolate. Its value is -inf, or -1e20 or less, where there is no obstacle. If it is an
                 earlier solution of the penalty method, copy that by np.clip: it is beyond the obstacles by eps*p.
+                In a blocked or mixed space, a dict of these bounds components: {1: 0.0} is for u.sub(1).
             upper: Upper obstacle, of the same kinds; inf, or 1e20 or more, where there is none.
             energy: The functional whose derivative is F (optional, for nonlinear F). A line search then decreases this
                 energy, which makes Newton's method more robust.
