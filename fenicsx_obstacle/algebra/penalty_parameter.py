@@ -157,9 +157,8 @@ class PenaltySolve:
 
 
 def penetration_and_range(problem: System) -> tuple[float, float]:
-    """The largest penetration of the present state, and the range of its u where it is between the obstacles
-    ; of several fields where the penetration is
-    the largest share of the range (collective)."""
+    """The largest penetration of the present state, and the range of its u where it is between the obstacles; those of
+    the field whose penetration is the largest share of its range (collective)."""
     comm, excess = problem.comm, _excess(problem)
     u, found = np.clip(problem.u, *problem.obstacles()), list[tuple[float, float]]()
     for dofs in problem.bounded_fields():

@@ -241,31 +241,39 @@ class ComponentSystem(System):
         forces = law.forces_at(self.u)
         if total(self.comm, ~np.isfinite(forces + law.scales)) > 0:
             raise InputError(f"{self.source} F or its derivative is not finite at the start: is a coefficient in it?")
-        self._check_signs()
         for gap, sign in ((self.below, 1.0), (self.above, -1.0)):
             if gap is not None:  # contact from the first step on where F presses: nothing else may hold u
                 pressed = self.touchable & (self.w == gap) & (sign * forces > 0)
                 self.w[pressed] = np.nextafter(gap[pressed], -sign * np.inf)
         self.load = total(self.comm, np.abs(law.forces_within()[0] - forces)[~self.fixed])
 
-    def _check_signs(self) -> None:
-        """Reject a component k whose bounds would mean the opposite: a linear F with x . A_kk x < 0 for random x, or a
-        saddle point, A_kk = 0, with equal signs off the diagonal. The inequality is F(u; v - u) >= 0."""
-        A = self.matrices.stiffness
-        x, y, z = A.createVecRight(), A.createVecLeft(), A.createVecRight()
+    def check_signs(self) -> None:
+        """Reject a component k whose bounds would mean the opposite, as that of a saddle point with equal signs off the
+        diagonal: with u of the other components in balance, x . A x < 0 for a random change x of this one. The
+        inequality is F(u; v - u) >= 0. Only if F is linear, or A_kk is 0.
+
+        Raises:
+            InputError: With the remedy.
+        """
+        A, comm = self.matrices.stiffness, self.comm
+        x, y = A.createVecRight(), A.createVecLeft()
         for k, part in self._bounded.items():
-            x.set(0.0)
-            x.array[part.dofs] = np.random.default_rng(self.comm.rank).normal(size=len(part.dofs))
-            x.array[self.fixed] = 0.0
+            change = np.zeros(self.owned)
+            change[part.dofs] = np.random.default_rng(comm.rank).normal(size=len(part.dofs))
+            change[self.fixed] = 0.0
+            x.array[:] = change
             A.mult(x, y)
-            A.multTranspose(x, z)
-            own, coupled = x.dot(y), total(self.comm, (y.array_r * z.array_r)[~self._dofs[k] & ~self.fixed])
-            if (self.affine and own < 0) or (own == 0 and coupled > 0):
+            own, others = total(comm, change * y.array_r), displacements(self, self._dofs[k].astype(int), -y.array_r)
+            assert others is not None
+            if total(comm, ~np.isfinite(others)) == 0:
+                x.array[:] += others
+            A.mult(x, y)
+            if total(comm, change * y.array_r) < 0 and (self.affine or own == 0):
                 raise InputError(
-                    f"{self.source} component {k}: the terms with its test function have the wrong sign for a bound. "
-                    "F must be monotone: a(v, v) > 0, and of a saddle point - p*div(v) + q*div(u), with opposite signs"
+                    f"{self.source} component {k}: the terms with its test function have the wrong sign for a bound: "
+                    "a(v, v) must be positive, and a saddle point be - p*div(v) + q*div(u), with opposite signs"
                 )
-        for vector in (x, y, z):
+        for vector in (x, y):
             vector.destroy()
 
     def bounded_fields(self) -> list[np.ndarray | slice]:

@@ -204,11 +204,13 @@ class ObstacleProblem:
         with releases.compiled_with(*compiled):
             check_integrals(residual, held, name)
         if in_components:
+            garbage.free_before(self, mesh.comm)
             self.u, self._compiled = u, compiled
             self._options = checked_options(petsc_options, f"{name}: petsc_options")
             with naming_compiler_errors(mesh.comm, name), releases.compiled_with(*compiled):
                 self._components = ComponentSystem(residual, bounds, held, name, petsc_options_prefix)
                 self._components.begin()
+            self._components.check_signs()
             return
         on_facets = Model((residual,), boundary=(Part("measure", ("contact",), **sides),), source=name)
         if self._vector_valued:  # a scalar problem does not load this
