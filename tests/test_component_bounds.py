@@ -11,7 +11,8 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, PenetrationWarning, releases
 from fenicsx_obstacle.parallel import largest, total
-from tests.conftest import COMM
+from tests.conftest import COMM, by_hand
+from tests.helpers import grid
 
 BUBBLES = ("P1 and bubbles", 1, 2)
 BEGIN, STEP = (lambda x: x[0] * (1 - x[1]), lambda x: 0.4 * x[1] ** 2 + 0 * x[0]), 0.05
@@ -45,8 +46,11 @@ def mixed_space(mesh, *elements):
 class Reaction:
     """Implicit Euler for two species that consume each other; each is removed at a rate that may exhaust it."""
 
+    def mesh(self, comm):
+        return square(comm)
+
     def __init__(self, comm):
-        mesh = square(comm)
+        mesh = self.mesh(comm)
         V = releases.functionspace(mesh, "Lagrange", 1, 2)
         self.u, v, old = fem.Function(V), ufl.TestFunction(V), fem.Function(V)
         old.interpolate(lambda x: np.vstack([begin(x) for begin in BEGIN]))
@@ -395,3 +399,24 @@ def test_other_wrong_input():
     for name in ("save", "plot", "at", "along", "verify"):
         with pytest.raises(InputError, match="bounds of components"):
             getattr(solution, name)("x")
+
+
+def test_ranks_without_cells():
+    """All cells are on the last rank."""
+
+    class Last(Reaction):
+        def mesh(self, comm):
+            return by_hand(*grid(4, 4), comm)
+
+    (truth, _), case = dense(Last(MPI.COMM_SELF)), Last(COMM)
+    for method, limit in (("vi", 1e-9), ("penalty", 0.011)):
+        solution = problem_of(case).solve(method=method)
+        for k in (0, 1):
+            V, (found, theirs) = (
+                case.u.function_space,
+                (one.x.array.reshape(-1, 2)[:, k] for one in (solution.u, truth)),
+            )
+            own = V.dofmap.index_map.size_local
+            ours = ordered(COMM, V.tabulate_dof_coordinates()[:own], found[:own])
+            theirs = ordered(MPI.COMM_SELF, truth.function_space.tabulate_dof_coordinates(), theirs)
+            assert np.abs(ours - theirs).max() <= limit * np.abs(theirs).max()

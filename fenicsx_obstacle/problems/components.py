@@ -72,8 +72,7 @@ class Component:
 
     Attributes:
         level: Its mesh and space.
-        dofs: Of each of its owned dofs the number in the space of u.
-        weights: D at these.
+        weights: D, as a Function in the space of u.
         model: Its bounds.
     """
 
@@ -83,45 +82,54 @@ class Component:
         Raises:
             InputError: If it has no positive nodal weights.
         """
-        V, dofs = residual.u.function_space.sub(number).collapse()
+        self._u, part = residual.u, residual.u.function_space.sub(number)
+        V = releases.space_of(part.mesh, part.ufl_element())
         source = f"{name}: component {number}"
         degree_1 = f"{source} is of {V.ufl_element()}: bounds are for scalar continuous Lagrange elements with positive"
         degree_1 += " weights of all nodes (3.6): take degree 1 for this component"
         if V.dofmap.index_map_bs > 1 or lagrange_degree(V) is None:
             raise InputError(degree_1)
-        self.level, self._all_dofs = of_space(V, source), np.asarray(dofs, dtype=np.int64)
+        self.level, self.model = (
+            of_space(V, source),
+            Model((residual,), bounds.get("lower"), bounds.get("upper"), source=source),
+        )
+        self._mine, self._of_u = (releases.cell_dofs(space).ravel() for space in (V, part))
         rule = self.level.pair.rule(releases.cell_name(V.mesh)).on(ufl.Measure("dx", domain=V.mesh))
-        self.dofs = self._all_dofs[: self.level.owned]
-        self.weights = assembled(ufl.TestFunction(V) * rule, V).x.array[: len(self.dofs)].copy()
-        if not self.level.pair.at_vertices or total(V.mesh.comm, self.weights <= 0) > 0:
+        weights = assembled(ufl.TestFunction(V) * rule, V)
+        if not self.level.pair.at_vertices or smallest(V.mesh.comm, weights.x.array) <= 0:
             raise InputError(degree_1)
-        self.model = Model((residual,), bounds.get("lower"), bounds.get("upper"), source=source)
+        self.weights = fem.Function(self._u.function_space)
+        self.put(weights, self.weights)
 
-    def data(self, fixed: np.ndarray, values: np.ndarray) -> Data:
-        """Its bounds now, where u has these values at fixed local dofs (collective).
+    def put(self, values: fem.Function, f: fem.Function) -> None:
+        """Give a Function in the space of u values of this component (collective)."""
+        f.x.array[self._of_u] = values.x.array[self._mine]
+        share(f)
+
+    def function(self, f: fem.Function, name: str) -> fem.Function:
+        """This component of a Function in the space of u (collective)."""
+        found = fem.Function(self.level.V, name=name)
+        found.x.array[self._mine] = f.x.array[self._of_u]
+        share(found)
+        return found
+
+    def data(self, fixed: fem.Function, values: fem.Function) -> Data:
+        """Its bounds now, where u has these values at fixed dofs (collective).
 
         Raises:
             InputError: If no u satisfies them.
         """
-        given = fem.Function(self.level.V)
-        given.x.array[:] = values[self._all_dofs]
-        held = fem.dirichletbc(given, np.flatnonzero(fixed[self._all_dofs]).astype(np.int32))
+        flags, given = self.function(fixed, "fixed"), self.function(values, "given")
+        held = fem.dirichletbc(given, np.flatnonzero(flags.x.array > 0).astype(np.int32))
         data = Data(self.model, self.level, bcs=[held])
         check_admissible(data)
         return data
 
-    def force(self, p: np.ndarray) -> Force:
-        """Its contact forces, for its pressures (collective)."""
-        sides = ((self.model.lower, p), (self.model.upper, -p))
-        sums = [total(self.level.comm, self.weights * np.maximum(one, 0.0)) for _, one in sides]
+    def force(self, forces: np.ndarray) -> Force:
+        """Its contact forces, from those at its owned dofs, > 0 at the lower bound (collective)."""
+        sides = ((self.model.lower, forces), (self.model.upper, -forces))
+        sums = [total(self.level.comm, np.maximum(one, 0.0)) for _, one in sides]
         return Force(*(None if g is None else found for (g, _), found in zip(sides, sums, strict=True)))
-
-    def function(self, values: np.ndarray, name: str) -> fem.Function:
-        """The Function with these values at owned dofs of u (collective)."""
-        found = fem.Function(self.level.V, name=name)
-        found.x.array[: len(self.dofs)] = values[self.dofs]
-        found.x.scatter_forward()
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +138,7 @@ class ComponentSolution:
 
     Attributes:
         u: Solution, a copy.
-        pressure: Contact pressure, on the collapsed sub-space: >= 0 at the lower bound, <= 0 at the upper one.
+        pressure: Contact pressure, P1 or Q1: >= 0 at the lower bound, <= 0 at the upper one.
         contact: 1 at nodes in contact, 0 at the others.
         force: Sums of pressure times weight, >= 0, such as `force[1].lower`.
         area: Of the contact set.
@@ -193,14 +201,14 @@ class ComponentSystem(System):
         self._bounded = {k: Component(k, residual, sides, name) for k, sides in bounds.items()}
         level = next(iter(self._bounded.values())).level
         self.h, self._level, self._vertices = level.h, level, vertex_digests(level)
-        own, every = V.dofmap.index_map.size_local * V.dofmap.index_map_bs, len(u.x.array)
-        numbers, weights, self._fixed = np.zeros(every, dtype=np.int64), np.zeros(own), fem.Function(V)
+        own, number = V.dofmap.index_map.size_local * V.dofmap.index_map_bs, fem.Function(V)
         for k in range(V.num_sub_spaces):
-            numbers[np.asarray(V.sub(k).collapse()[1], dtype=np.int64)] = k
-        for part in self._bounded.values():
-            weights[part.dofs] = part.weights
-        self.fields = V.num_sub_spaces, numbers[:own]
-        self._dofs = [numbers[:own] == k for k in range(V.num_sub_spaces)]
+            number.x.array[releases.cell_dofs(V.sub(k)).ravel()] = k
+        share(number)
+        self.fields = V.num_sub_spaces, number.x.array[:own].astype(np.int64)
+        self._dofs = [self.fields[1] == k for k in range(V.num_sub_spaces)]
+        weights: np.ndarray = np.sum([part.weights.x.array[:own] for part in self._bounded.values()], axis=0)
+        self._fixed = fem.Function(V)
         for bc in bcs:
             self._fixed.x.array[np.asarray(bc.dof_indices()[0])] = 1.0
         share(self._fixed)
@@ -230,11 +238,12 @@ class ComponentSystem(System):
             if total(self.comm, ~np.isfinite(one.x.array)) > 0:
                 raise InputError(f"{self.source} {words} is not a finite number somewhere")
         self.given[:] = values.x.array[: self.owned]
-        for part in self._bounded.values():
-            data = part.data(self._fixed.x.array > 0, values.x.array)
+        for k, part in self._bounded.items():
+            data, on_all = part.data(self._fixed, values), fem.Function(self._u.function_space)
             for bounds, now in ((self.lower, data.lower), (self.upper, data.upper)):
                 if bounds is not None and now is not None:
-                    bounds[part.dofs] = now.x.array[: len(part.dofs)]
+                    part.put(now, on_all)
+                    bounds[self._dofs[k]] = on_all.x.array[: self.owned][self._dofs[k]]
         self.set_reference(np.where(self.fixed, self.given, self.between(self._u.x.array[: self.owned])))
         law.assemble()
         law.take_stiffness(self.A)
@@ -257,10 +266,8 @@ class ComponentSystem(System):
         """
         A, comm = self.matrices.stiffness, self.comm
         x, y = A.createVecRight(), A.createVecLeft()
-        for k, part in self._bounded.items():
-            change = np.zeros(self.owned)
-            change[part.dofs] = np.random.default_rng(comm.rank).normal(size=len(part.dofs))
-            change[self.fixed] = 0.0
+        for k in self._bounded:
+            change = np.random.default_rng(comm.rank).normal(size=self.owned) * (self._dofs[k] & ~self.fixed)
             x.array[:] = change
             A.mult(x, y)
             own, others = total(comm, change * y.array_r), displacements(self, self._dofs[k].astype(int), -y.array_r)
@@ -315,16 +322,18 @@ class ComponentSystem(System):
         method = method_of(self, options)
         outcome = method.solve(self, multigrid=None, tolerance=rtol, monitor=monitor)
         warn_of_indefinite(self, self._residual, self._name)
-        p, parts = method.pressure(self), self._bounded.items()
-        self._u.x.array[: self.owned] = self.u
-        self._u.x.scatter_forward()
+        p, parts = method.pressure(self), [(k, part, self._dofs[k]) for k, part in self._bounded.items()]
+        pressure, contact = (fem.Function(self._u.function_space) for _ in range(2))
+        for f, values in ((self._u, self.u), (pressure, p), (contact, p != 0)):
+            f.x.array[: self.owned] = values
+            f.x.scatter_forward()
         beyond = np.where(self.touchable, np.maximum(-np.minimum(*self.gaps()), 0.0), 0.0)
         return ComponentSolution(
-            self._u.copy(), {k: part.function(p, "pressure") for k, part in parts},
-            {k: part.function((p != 0).astype(float), "contact") for k, part in parts},
-            {k: part.force(p[part.dofs]) for k, part in parts},
-            {k: total(self.comm, part.weights[p[part.dofs] != 0]) for k, part in parts},
-            {k: largest(self.comm, beyond[part.dofs]) for k, part in parts},
+            self._u.copy(), {k: part.function(pressure, "pressure") for k, part, _ in parts},
+            {k: part.function(contact, "contact") for k, part, _ in parts},
+            {k: part.force((self.weights * p)[dofs]) for k, part, dofs in parts},
+            {k: total(self.comm, self.weights[dofs & (p != 0)]) for k, _, dofs in parts},
+            {k: largest(self.comm, beyond[dofs]) for k, _, dofs in parts},
             options.method, outcome.eps, outcome.iterations, outcome.history, self._name,
         )  # fmt: skip
 
