@@ -89,10 +89,8 @@ class Component:
         degree_1 += " weights of all nodes (3.6): take degree 1 for this component"
         if V.dofmap.index_map_bs > 1 or lagrange_degree(V) is None:
             raise InputError(degree_1)
-        self.level, self.model = (
-            of_space(V, source),
-            Model((residual,), bounds.get("lower"), bounds.get("upper"), source=source),
-        )
+        self.level = of_space(V, source)
+        self.model = Model((residual,), bounds.get("lower"), bounds.get("upper"), source=source)
         self._mine, self._of_u = (releases.cell_dofs(space).ravel() for space in (V, part))
         rule = self.level.pair.rule(releases.cell_name(V.mesh)).on(ufl.Measure("dx", domain=V.mesh))
         weights = assembled(ufl.TestFunction(V) * rule, V)
@@ -190,7 +188,7 @@ class ComponentSystem(System):
 
     direct = True
     keeps_solver = True
-    hint = "; a component that nothing holds makes the matrix singular: where only contact does, start at its bound"
+    hint = "; if nothing holds a component, the matrix is singular: where only contact does, start at its bound"
 
     def __init__(self, residual: ResidualForm, bounds: Bounds, bcs: list[Any], name: str, prefix: str):
         """Compile and assemble."""
