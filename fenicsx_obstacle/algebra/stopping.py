@@ -35,7 +35,7 @@ ROUNDOFF_LIMITED = 1e-8  # round-off / acting forces above which r in w = u - r 
 SMALL_CORRECTION = 1e-6  # of the range of u: the sum of |r_i|/A_ii
 SMALLER, IN_VAIN = 0.5, 3  # a correction is not smaller than half of the least before, in so many steps
 NEARLY_CONSTANT = 1e-2  # of |u|: below it the range of u is no scale
-ROUNDED = 1e-13  # of |A| |u|: what a direct solver leaves
+ROUNDED = 1e-14  # of |A| |u|: what a direct solver leaves
 FAR = 1e-3  # unbalanced / acting forces that cannot be round-off while contact changes
 STALLED = 10  # steps
 CONVERGED = PETSc.SNES.ConvergedReason.CONVERGED_FNORM_ABS
