@@ -243,6 +243,18 @@ def test_units_of_components_do_not_matter(size, method):
         assert np.abs(found[k] - theirs).max() <= limit * np.abs(theirs).max()
 
 
+def test_a_stiff_part_does_not_hide_the_others():
+    """Its forces are 1e10 times those of the rest of the domain, and the problem is not linear."""
+    case = Reaction(COMM)
+    x, v = ufl.SpatialCoordinate(case.u.function_space.mesh), case.F.arguments()[0]
+    stiff = ufl.conditional(ufl.gt(x[0], 0.5), 1e10, 0.0)
+    case.F += stiff * (ufl.inner(ufl.grad(case.u), ufl.grad(v)) + (case.u[0] - 0.2) * v[0]) * ufl.dx
+    problem = problem_of(case)
+    first = problem.solve(method="vi")
+    second = problem.solve(method="vi", rtol=1e-15)
+    assert largest(COMM, np.abs(first.u.x.array - second.u.x.array)) <= 1e-9
+
+
 def test_an_energy_helps_where_newton_does_not():
     """Damage at twice the load: the same solution, in few steps."""
     truth, case = dense(Damage(MPI.COMM_SELF, 0.4))[0], Damage(COMM, 0.4)

@@ -202,11 +202,15 @@ class Stopping:
         left = total(problem.comm, moved)
         del stiffness, moved
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
-        if left <= small_correction(problem) + rounded:
+        return self._is_small(left, small_correction(problem) + rounded)
+
+    def _is_small(self, left: float, limit: float) -> bool:
+        """Whether a correction is below its limit, or no step makes it smaller."""
+        if left <= limit:
             return True
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
-        return not problem.affine and self._vain >= IN_VAIN
+        return not self.problem.affine and self._vain >= IN_VAIN
 
     def _fields_balance(self, active: np.ndarray, elastic: np.ndarray, *, far: bool) -> bool:
         """Whether forces are in balance in each field, whose unit and size may be others than those of the other fields
@@ -223,9 +227,16 @@ class Stopping:
         load, inner = problem.matrices.forces_within()
         held = problem.fixed | problem.active_dofs(active != 0)
         acting = np.where(held, elastic, load - elastic), np.where(held, 0.0, inner)
-        columns = [np.bincount(number, np.abs(one), count) for one in (self._unbalanced(elastic)[1], *acting)]
+        residual, stiffness, u = np.abs(self._unbalanced(elastic)[1]), problem.matrices.diagonal, np.abs(problem.u)
+        columns = [np.bincount(number, np.abs(one), count) for one in (residual, *acting)]
         unbalanced, forces, inner = problem.comm.allreduce(np.array(columns))
-        return bool(np.all(unbalanced <= np.maximum(self.tolerance * forces, 0.0 if far else ROUNDED * inner)))
+        balanced = bool(np.all(unbalanced <= np.maximum(self.tolerance * forces, 0.0 if far else ROUNDED * inner)))
+        if problem.affine or not balanced:  # a direct solver leaves round-off
+            return balanced
+        limit = SMALL_CORRECTION * (problem.spread(problem.u) + NEARLY_CONSTANT * u)
+        own = (stiffness > 0) & (limit > 0)
+        moved = np.maximum(residual[own] / stiffness[own] - ROUNDOFF_MARGIN * EPSILON * u[own], 0.0)
+        return self._is_small(total(problem.comm, moved / limit[own]), 1.0)
 
     @property
     def row_by_row(self) -> bool:
