@@ -79,6 +79,11 @@ def functionspace(mesh: dmesh.Mesh, family: str, degree: int, components: int | 
     return fem.functionspace(mesh, (family, degree) if components is None else (family, degree, (components,)))
 
 
+def space_of(mesh: dmesh.Mesh, element: Any) -> fem.FunctionSpace:
+    """Space of an element (collective). `V.sub(0).collapse()` of 0.5 ends in a fault on ranks without cells."""
+    return (fem.FunctionSpace if OLD else fem.functionspace)(mesh, element)
+
+
 def vec(u: fem.Function) -> PETSc.Vec:
     """New ghosted PETSc vector that shares the memory of a Function, on the mesh's communicator (collective)."""
     ghosts, sizes, block = _layout(u.function_space)

@@ -80,6 +80,19 @@ class Affine:
         force.destroy()
         return found
 
+    def forces_within(self) -> tuple[np.ndarray, np.ndarray]:
+        """A u and |A| |u| at owned dofs."""
+        size, (starts, columns, values) = self.stiffness.getSizes(), self.stiffness.getValuesCSR()
+        sizes = PETSc.Mat().createAIJ(size, csr=(starts, columns, np.abs(values)), comm=self.comm)
+        u, force, found = self._scratch, self._constant.duplicate(), list[np.ndarray]()
+        for A, change in ((self.stiffness, np.copy), (sizes, np.abs)):
+            u.array[:] = change(self.state.w + self.state.r)
+            A.mult(u, force)
+            found.append(force.array.copy())
+        for owner in (sizes, force):
+            owner.destroy()
+        return found[0], found[1]
+
     def leans(self, side: int, share: float = MOSTLY) -> bool:
         """Whether the nodal forces have the sign of a side, -1 or 1, up to a share of their sum."""
         forces = -self.minus_load.array_r
@@ -159,11 +172,16 @@ class Affine:
         penalty_diagonal[self.fixed] = 0.0
         return penalty_diagonal
 
+    @property
+    def scales(self) -> np.ndarray:
+        """The stiffness of each owned dof, > 0 where it has one."""
+        return self.diagonal
+
     def add_penalty_diagonal(self, A: PETSc.Mat, penalty_diagonal: np.ndarray | None) -> None:
         """Set A to the stiffness plus a diagonal at owned dofs; an infinite entry fixes the dof at zero."""
         self._scratch.array[:] = self.diagonal
         if penalty_diagonal is not None:
-            self._scratch.array[:] += np.minimum(penalty_diagonal, HELD * self.diagonal)
+            self._scratch.array[:] += np.minimum(penalty_diagonal, HELD * self.scales)
         A.setDiagonal(self._scratch)
 
     def _excess(self) -> np.ndarray:

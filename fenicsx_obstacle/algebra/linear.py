@@ -27,6 +27,7 @@ LINEAR = {
     "pc_hypre_type": "boomeramg",
 }
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+SADDLE = {**DIRECT, "mat_mumps_icntl_14": 300}  # per cent more memory: zeros on the diagonal delay pivots
 GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_norm_type": "preconditioned"}  # without symmetry
 INEXACT = {
     "ksp_type": "cg",

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.algebra import releases
+from fenicsx_obstacle.algebra.fields import stopping_of
 from fenicsx_obstacle.algebra.linear import user_has_set
 from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
-from fenicsx_obstacle.algebra.stopping import CYCLING, TOLERANCE, TOO_MANY, StepMonitor, Stopping
+from fenicsx_obstacle.algebra.stopping import CYCLING, TOLERANCE, TOO_MANY, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.parallel import largest
 
@@ -101,12 +102,13 @@ def soft_eps(problem: System) -> float:
 
 
 def diagonal_of(problem: System) -> np.ndarray:
-    """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty (collective)."""
+    """A_ii at owned dofs, A being the derivative of the residual at the present state, without penalty; of several
+    fields the sums of |A_ij| (collective)."""
     if problem.affine and problem.nodal:
-        return problem.matrices.diagonal
+        return problem.matrices.scales
     state = problem.vector()
     diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    found = diagonal.array_r.copy()
+    found = diagonal.array_r.copy() if problem.fields is None else problem.matrices.scales
     for owner in (state, diagonal):
         owner.destroy()
     return found
@@ -167,8 +169,8 @@ def smallest_eps(problem: System) -> float:
     """
     if not problem.affine or not problem.nodal:
         return 0.0
-    stiff = problem.touchable & (problem.matrices.diagonal > 0)
-    flexible = np.divide(problem.weights, problem.matrices.diagonal, out=np.zeros(len(stiff)), where=stiff)
+    stiff = problem.touchable & (problem.matrices.scales > 0)
+    flexible = np.divide(problem.weights, problem.matrices.scales, out=np.zeros(len(stiff)), where=stiff)
     return max(largest(problem.comm, flexible), 0.0) / STIFFEST
 
 
@@ -198,7 +200,7 @@ def _attempt(
     problem: System, search: str, how: dict[str, Any], multigrid: Multigrid | None, *, objective: bool = False
 ) -> Outcome:
     full = search == "basic" and not objective
-    stopping = Stopping(problem, watch_cycles=full, **how)
+    stopping = stopping_of(problem, watch_cycles=full, **how)
     options = {**NEWTON, "snes_linesearch_type": search}
     objective |= search == "bt" and problem.has_energy
     return run(problem, "penalty", options, stopping, objective=objective, multigrid=multigrid)

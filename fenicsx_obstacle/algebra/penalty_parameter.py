@@ -157,11 +157,14 @@ class PenaltySolve:
 
 
 def penetration_and_range(problem: System) -> tuple[float, float]:
-    """The largest penetration of the present state, and the range of its u where it is between the obstacles
-    (collective)."""
-    comm = problem.comm
-    u = np.clip(problem.u, *problem.obstacles())
-    return max(largest(comm, _excess(problem)), 0.0), max(largest(comm, u) - smallest(comm, u), 0.0)
+    """The largest penetration of the present state, and the range of its u where it is between the obstacles; those of
+    the field whose penetration is the largest share of its range (collective)."""
+    comm, excess = problem.comm, _excess(problem)
+    u, found = np.clip(problem.u, *problem.obstacles()), list[tuple[float, float]]()
+    for dofs in problem.bounded_fields():
+        height = max(largest(comm, u[dofs]) - smallest(comm, u[dofs]), 0.0)
+        found.append((max(largest(comm, excess[dofs]), 0.0), height))
+    return max(found, key=lambda one: one[0] / one[1] if one[1] > 0 else 0.0)
 
 
 def large_penetration(problem: System) -> str | None:
@@ -183,7 +186,9 @@ def share_in_parts(problem: System) -> float:
     0 unless the penalty is softer than A_ii at some contact node, as it may be on a mesh that is graded: elsewhere a
     penetration is below the error of the mesh in the cells around it.
     """
-    if not problem.nodal or smallest(problem.comm, _compliance_in_contact(problem)) >= problem.eps:
+    if not problem.nodal or problem.fields is not None:
+        return 0.0
+    if smallest(problem.comm, _compliance_in_contact(problem)) >= problem.eps:
         return 0.0
     u = np.clip(problem.u, *problem.obstacles())
     parts = SeparateParts(problem, u)

@@ -17,7 +17,7 @@ from fenicsx_obstacle.algebra.data_scales import (
     range_of_data,
     stiffness_of,
 )
-from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, LARGEST, attempt, defaults, direct_first
+from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, LARGEST, SADDLE, attempt, defaults, direct_first
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE, System
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -151,7 +151,7 @@ def _sensitive(problem: System, active: np.ndarray) -> str | None:
     One step of inverse iteration, from the round-off of the residual with one sign: where A is an M-matrix no other
     signs move u farther.
     """
-    if problem.symmetric or not (problem.affine and problem.nodal):
+    if problem.fields is not None or problem.symmetric or not (problem.affine and problem.nodal):
         return None
     comm, u = problem.comm, problem.u
     spread = largest(comm, u) - smallest(comm, u)
@@ -167,28 +167,33 @@ def moved_by(problem: System, active: np.ndarray, forces: np.ndarray) -> float |
 
     Infinite where even a direct solver finds none: A is singular to round-off. None where no direct solver was tried.
     """
+    moved = displacements(problem, active, forces)
+    return None if moved is None else largest(problem.comm, np.abs(moved))
+
+
+def displacements(problem: System, active: np.ndarray, forces: np.ndarray) -> np.ndarray | None:
+    """The same at owned dofs (collective)."""
     diagonal = problem.A.getDiagonal()
     problem.matrices.add_penalty_diagonal(problem.A, np.where(active != 0, np.inf, 0.0))
     x, b = problem.A.createVecs()
     b.array[:] = np.where(problem.fixed | (active != 0), 0.0, forces)
-    done = solved(problem.dofs, problem.A, b, x)
-    most = largest(problem.comm, np.abs(x.array_r))
+    done, moved = solved(problem.dofs, problem.A, b, x, direct=problem.direct), x.array.copy()
     problem.A.setDiagonal(diagonal)  # the stopping test of the next solve reads it
     for vector in (x, b, diagonal):
         vector.destroy()
     if done:
-        return most
-    return np.inf if problem.dofs <= LARGEST else None
+        return moved
+    return np.full(len(moved), np.inf) if problem.direct or problem.dofs <= LARGEST else None
 
 
-def solved(dofs: int, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec) -> bool:
+def solved(dofs: int, A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, *, direct: bool = False) -> bool:
     """Solve A x = b; whether that was possible (collective).
 
     Judged by b - A x itself: a preconditioner hardly sees a direction that A is nearly singular in, and the factors
     of such an A have pivots of pure round-off, so that one solve with them may miss x by a factor of 1000.
     """
     ways: list[Mapping[str, Any]] = [GENERAL, DIRECT] if dofs <= LARGEST else [GENERAL]
-    for options in reversed(ways) if direct_first(dofs) else ways:
+    for options in [SADDLE] if direct else reversed(ways) if direct_first(dofs) else ways:
         ksp = PETSc.KSP().create(A.comm)
         ksp.setOperators(A)
         ksp.setOptionsPrefix("sensitivity_")

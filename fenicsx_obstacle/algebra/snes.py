@@ -19,6 +19,7 @@ from fenicsx_obstacle.algebra.linear import (
     INEXACT,
     LARGEST,
     LINEAR,
+    SADDLE,
     attempt,
     check_diagonal,
     defaults,
@@ -101,7 +102,7 @@ def run(
         multigrid = None
     linear: Mapping[str, Any] = {**(LINEAR if problem.symmetric else GENERAL), **problem.preconditioner}
     directly = multigrid is None and not (chosen or problem.preconditioner) and direct_first(problem.dofs)
-    if direct or not problem.nodal or directly:
+    if direct or problem.direct or not problem.nodal or directly:
         linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
     held: Multigrid | HeldRows | None = multigrid
     if problem.preconditioner and not (penalised or chosen or linear is DIRECT):
@@ -111,6 +112,8 @@ def run(
     by_rigid_motions = bool(problem.preconditioner) and penalised and not chosen and linear is not DIRECT
     inexact = multigrid is not None or (by_rigid_motions and problem.symmetric)
     database = {**options, **(linear if multigrid is None else INEXACT)}
+    if problem.direct:
+        database |= SADDLE
     if inexact:
         database["ksp_norm_type"] = INEXACT["ksp_norm_type"]
     if user_has_set(f"{prefix}ksp_type"):

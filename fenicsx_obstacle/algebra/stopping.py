@@ -145,17 +145,13 @@ class Stopping:
         nothing_acts = problem.affine and forces <= left  # not for films: their forces stay bounded when u diverges
         far = len(self.history) < 2 or (step.changed > 0 and unbalanced > FAR * forces and not nothing_acts)
         floor = 0.0 if far else left + self._nothing
-        balanced = unbalanced <= may_be_left(forces, floor, self.tolerance) and self._correction_is_done(elastic)
+        balanced = self._is_balanced(active, elastic, floor)
         self.roundoff_limited = floor > ROUNDOFF_LIMITED * forces
         self.from_afar = balanced and floor > self.tolerance * forces and self._counts_from_afar(active)
         if balanced and iteration >= self.least and not (self.unchanged and self._changes(changed, floor)):
             # where round-off limits w, r is updated first; a load below round-off would seem balanced in the first step
             self.roundoff_limited |= far and left > ROUNDOFF_LIMITED * forces
-            if (
-                self.tolerance >= ON_THE_WAY
-                or self.roundoff_limited
-                or determined(problem, active, self._stiffness(), unbalanced)
-            ):
+            if self.tolerance >= ON_THE_WAY or self.roundoff_limited or self._is_determined(active):
                 return CONVERGED
             if problem.affine:
                 return MEANINGLESS  # the next step would solve the same system
@@ -188,6 +184,16 @@ class Stopping:
         active[~problem.touchable] = 0
         return active, residual
 
+    def _is_balanced(self, active: np.ndarray, elastic: np.ndarray, floor: float) -> bool:
+        """Whether forces are in balance, up to the round-off (collective)."""
+        step = self.history[-1]
+        allowed = may_be_left(step.forces, floor, self.tolerance)
+        return step.unbalanced <= allowed and self._correction_is_done(elastic)
+
+    def _is_determined(self, active: np.ndarray) -> bool:
+        """Whether the data, and not round-off, determine the state (collective)."""
+        return determined(self.problem, active, self._stiffness(), self.history[-1].unbalanced)
+
     def _correction_is_done(self, elastic: np.ndarray) -> bool:
         """Whether the correction of u by one step of Jacobi, the sum of |r_i|/A_ii, is small beside its range, or no
         step makes it smaller (collective).
@@ -208,11 +214,15 @@ class Stopping:
         if left <= small + rounded:
             self.uneven = self._is_uneven(moved, stiffness) and not small_in_parts(problem, moved)
             return not self.uneven
-        self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
-        self._correction = min(left, self._correction)
         # a bound's line search may stand still: it goes by the norm of all forces, round-off of a stiff part included
         stands = self.exact_bounds and left > LIMIT / SMALL_CORRECTION * small
-        return not (problem.affine or stands) and self._vain >= IN_VAIN
+        return self._in_vain(left) and not stands
+
+    def _in_vain(self, left: float) -> bool:
+        """Whether no step makes the correction of a nonlinear problem smaller; called once in a step."""
+        self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
+        self._correction = min(left, self._correction)
+        return not self.problem.affine and self._vain >= IN_VAIN
 
     def _is_uneven(self, moved: np.ndarray, stiffness: np.ndarray) -> bool:
         """Whether some |r_i|/A_ii is more than `UNEVEN` of w there and around (collective).

@@ -76,6 +76,8 @@ class System:
         checks: Of a state in balance: the reason why it is no solution, or None; for effects that need more.
         hint: What a solver that fails adds to its reason.
         source: What messages call the problem.
+        direct: Whether linear systems are solved directly, as those of saddle points, where A_ii may be 0.
+        fields: Number of fields with units of their own, and that of each dof; None where u is one field.
         h: Mesh size, for messages; 0 without a mesh.
         prefix: Of its PETSc options; where it is empty, that of the solver.
         solver: The SNES of the last attempt, where it is kept.
@@ -102,6 +104,8 @@ class System:
     checks: Sequence[Check] = ()
     hint = ""
     source = "solve_system:"
+    direct = False
+    fields: tuple[int, np.ndarray] | None = None
     h = 0.0
     prefix = ""
     on_mesh = False
@@ -233,7 +237,7 @@ class System:
         lower, upper = self.obstacles()
         below, above = u_values - lower, upper - u_values
         nearest = np.where(np.abs(below) <= np.abs(above), lower, upper)
-        spread = largest(self.comm, u_values) - smallest(self.comm, u_values)
+        spread = self.spread(u_values)
         r = self.state.r
         r[:] = np.where(np.minimum(below, above) <= spread, nearest, u_values if self.constrained else 0.0)
         r[self.fixed] = self.given[self.fixed]
@@ -253,6 +257,10 @@ class System:
             stiffness: Whether a(., .) is among it.
         """
         self.set_reference(self.cold_start())
+
+    def in_components(self, u_values: np.ndarray) -> np.ndarray:
+        """Values of u in the components of w."""
+        return u_values
 
     def set_unknown(self, values: np.ndarray) -> None:
         """Set u in the components of w, and the reference as `set_reference` does."""
@@ -297,10 +305,18 @@ class System:
         self.state.share_all()
         self.law.set_reference()
 
+    def spread(self, u_values: np.ndarray) -> np.ndarray | float:
+        """The range of values of u, of several fields at each dof that of its field."""
+        return largest(self.comm, u_values) - smallest(self.comm, u_values)
+
+    def bounded_fields(self) -> list[np.ndarray | slice]:
+        """The dofs of each field that has bounds."""
+        return [slice(None)]
+
     def range_of_u(self) -> float:
-        """The range of u in the present state, 0 without nodes."""
-        u_values = self.u
-        return max(largest(self.comm, u_values) - smallest(self.comm, u_values), 0.0)
+        """The range of u in the present state, 0 without nodes; of several fields with bounds the smallest."""
+        parts = [self.u[dofs] for dofs in self.bounded_fields()]
+        return max(min(largest(self.comm, part) - smallest(self.comm, part) for part in parts), 0.0)
 
     def vector(self) -> PETSc.Vec:
         """A vector for the solver, holding w."""

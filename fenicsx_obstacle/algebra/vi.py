@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.fields import stopping_of
 from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.newton import NEWTON, PATIENCE, joined, settled, soft_eps, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
-from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor, Stopping
+from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.errors import InputError
 
@@ -115,7 +116,7 @@ def _attempt(problem: System, how: dict[str, Any], multigrid: Multigrid | None, 
     problem.set_state(x)
     touching = AT_BOUND * problem.range_of_u()
     options = {**options, "snes_vi_zero_tolerance": touching}
-    stopping = Stopping(problem, exact_bounds=True, touching=touching, **how)
+    stopping = stopping_of(problem, exact_bounds=True, touching=touching, **how)
     outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
                   prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
     for vector in (x, lower, upper):

@@ -82,10 +82,6 @@ class MeshSystem(System):
         assert isinstance(self.law, Nodal)
         return self.law
 
-    def in_components(self, u_values: np.ndarray) -> np.ndarray:
-        """Values of u in the components of w."""
-        return u_values
-
     def in_q(self, values: np.ndarray) -> fem.Function:
         """The function of Q_h with these values at the owned points of I (collective).
 

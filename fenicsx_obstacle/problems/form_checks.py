@@ -18,6 +18,7 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.newton import diagonal_of
+from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.data.fields import foreign, is_complex
 from fenicsx_obstacle.discrete.assembly import assembled
 from fenicsx_obstacle.discrete.problem import Problem
@@ -200,7 +201,7 @@ def check_stiffness(problem: Problem, form: ResidualForm, place: str) -> None:
         )
 
 
-def warn_of_indefinite(problem: Problem, form: ResidualForm | None, place: str) -> None:
+def warn_of_indefinite(problem: System, form: ResidualForm | None, place: str) -> None:
     """Warn if a(s, s) < 0 for the difference s between u and a cold start, where F = a(u, v) - f(v) is symmetric
     (collective).
 

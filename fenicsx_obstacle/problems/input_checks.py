@@ -42,6 +42,17 @@ def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress
         raise InputError(f"{place}: stress= is for vector-valued u")
 
 
+def refuse_given(place: str, **given: Any) -> None:
+    """Reject arguments that have no meaning where bounds are given for components.
+
+    Raises:
+        InputError: Naming the first.
+    """
+    for key, value in given.items():
+        if value is not None:
+            raise InputError(f"{place}: {key}= has no meaning where lower or upper is a dict: leave it out")
+
+
 def checked_options(options: Any, place: str, example: str = "{'ksp_type': 'cg'}") -> dict[str, Any]:
     """A copy of options of PETSc or of a compiler, empty for None.
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import ufl
@@ -33,6 +33,7 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.mesh.levels import Level, of_space
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
+from fenicsx_obstacle.problems.components import ComponentSolution, ComponentSystem, bounds_of
 from fenicsx_obstacle.problems.form_checks import (
     check_energy,
     check_form,
@@ -54,6 +55,7 @@ from fenicsx_obstacle.problems.input_checks import (
     facets_of,
     number_of,
     obstacle,
+    refuse_given,
     vertex_digests,
     warn_of_conditions,
 )
@@ -104,6 +106,7 @@ class ObstacleProblem:
     name = "ObstacleProblem"  # in messages
     _vector_valued = False
     _von_mises: Callable[[], fem.Function] | None = None
+    _components: ComponentSystem | None = None  # where lower or upper is a dict
 
     @names_checked
     def __init__(
@@ -140,6 +143,7 @@ class ObstacleProblem:
                 u that has one value at each node; or a callable of x, an array of shape (3, n), as for
                 Function.interpolate. Its value is -inf, or -1e20 or less, where there is no obstacle. If it is an
                 earlier solution of the penalty method, copy that by np.clip: it is beyond the obstacles by eps*p.
+                In a blocked or mixed space, a dict of these bounds components: {1: 0.0} is for u.sub(1).
             upper: Upper obstacle, of the same kinds; inf, or 1e20 or more, where there is none.
             energy: The functional whose derivative is F (optional, for nonlinear F). A line search then decreases this
                 energy, which makes Newton's method more robust.
@@ -166,8 +170,11 @@ class ObstacleProblem:
         check_unknown(u, self.name, lower=lower, upper=upper, of=of, stress=stress)
         V, name = u.function_space, self.name
         mesh, compiled = V.mesh, (form_compiler_options, jit_options)
-        self._vector_valued = V.dofmap.index_map_bs > 1
-        if not self._vector_valued:
+        in_components = isinstance(lower, Mapping) or isinstance(upper, Mapping)
+        self._vector_valued = V.dofmap.index_map_bs > 1 and not in_components
+        if in_components:
+            refuse_given(name, of=of, measure=measure, stress=stress)
+        elif not self._vector_valued:
             facets = None if measure is None else facets_of(measure, mesh, name)
             level = of_space(V, name, None if facets is None else {"contact": facets})
         with agree(mesh.comm):
@@ -177,7 +184,10 @@ class ObstacleProblem:
             if J is not None:
                 check_form(J, u, f"{name}: J", arguments=2)
             given = {key: g for key, g in (("lower", lower), ("upper", upper)) if g is not None}
-            sides: dict[str, Any] = {key: obstacle(g, u, f"{name}: {key}") for key, g in given.items()}
+            bounds = bounds_of(u, name, **given) if in_components else {}
+            sides: dict[str, Any] = {}
+            if not in_components:
+                sides = {key: obstacle(g, u, f"{name}: {key}") for key, g in given.items()}
             held = conditions(bcs, V, name)
         for key, form in (("F", F), ("energy", energy), ("J", J)):
             if form is not None:
@@ -194,6 +204,15 @@ class ObstacleProblem:
         checked_options(jit_options, f"{name}: jit_options", "{'cffi_extra_compile_args': ['-O2']}")
         with releases.compiled_with(*compiled):
             check_integrals(residual, held, name)
+        if in_components:
+            garbage.free_before(self, mesh.comm)
+            self.u, self._compiled = u, compiled
+            self._options = checked_options(petsc_options, f"{name}: petsc_options")
+            with naming_compiler_errors(mesh.comm, name), releases.compiled_with(*compiled):
+                self._components = ComponentSystem(residual, bounds, held, name, petsc_options_prefix)
+                self._components.begin()
+            self._components.check_signs()
+            return
         on_facets = Model((residual,), boundary=(Part("measure", ("contact",), **sides),), source=name)
         if self._vector_valued:  # a scalar problem does not load this
             from fenicsx_obstacle.discrete.contact_nodes import VectorData
@@ -275,19 +294,23 @@ class ObstacleProblem:
         self._eps: float | None = None
 
     @property
+    def _system(self) -> System:
+        return self._problem if self._components is None else self._components
+
+    @property
     def solver(self) -> PETSc.SNES | None:
         """The SNES of the last attempt on the finest level; None before the first solve."""
-        return self._problem.solver
+        return self._system.solver
 
     @property
     def A(self) -> PETSc.Mat:
         """The matrix of the last linear system."""
-        return self._problem.A
+        return self._system.A
 
     @property
     def b(self) -> PETSc.Vec:
         """The residual of F at the last state."""
-        return self._problem.elastic
+        return self._system.elastic
 
     @property
     def level(self) -> Level:
@@ -322,13 +345,16 @@ class ObstacleProblem:
             monitor: A function that is called on all ranks with the number of each Newton step and its `Step`.
 
         Returns:
-            The solution. It is a copy, which later solves do not change.
+            The solution, a `Solution`; with bounds of components a `ComponentSolution`. It is a copy, which later
+            solves do not change.
 
         Raises:
             InputError: If an argument is invalid, or no u can satisfy the data.
             NotConverged: If the solver fails, with PETSc's reason; u is then unchanged.
         """
         started = time.perf_counter()
+        if self._components is not None:
+            return cast(Any, self._solved_in_components(self._components, eps, method, rtol, bound, monitor))
         if bound and self._estimator is None:
             self._estimator = self._bounds()
         outcome, state = self._solved(eps, method, rtol, monitor)
@@ -367,6 +393,8 @@ class ObstacleProblem:
         """
         from fenicsx_obstacle.check.verification import verify  # only if requested
 
+        if self._components is not None:
+            raise InputError(f"{self.name}: verify is not for bounds of components")
         check_not_moved(self.level, self._vertices, self.name)
         with releases.compiled_with(*self._compiled):
             return verify(self._problem, solution, self._of_contact(solution) if self._vector_valued else None)
@@ -385,10 +413,20 @@ class ObstacleProblem:
 
         return made
 
-    def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> tuple[Outcome, State]:
-        """Solve, into u (collective)."""
-        garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
-        check_not_moved(self.level, self._vertices, self.name)
+    def _solved_in_components(
+        self, system: ComponentSystem, eps: Any, method: str, rtol: float, bound: bool, monitor: Monitor | None
+    ) -> ComponentSolution:
+        """Solve with bounds of components, for the data of now (collective)."""
+        if bound:
+            raise InputError(f"{self.name}: bound=True is not for bounds of components")
+        garbage.free_unreferenced(system.comm)
+        options = self._options_of(eps, method, rtol, monitor)
+        with self._settings():
+            system.begin()
+            return system.solve(options, rtol, None if monitor is None else _on_finest(monitor, system))
+
+    def _options_of(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> SolverOptions:
+        """Method and eps, checked like the other arguments."""
         options = SolverOptions(method, source=f"{self.name}:")
         if not isinstance(rtol, numbers.Real) or isinstance(rtol, bool) or not 0 < rtol < ON_THE_WAY:
             given = f"{rtol:g}" if isinstance(rtol, numbers.Real) else shown(rtol)
@@ -396,11 +434,16 @@ class ObstacleProblem:
         value = number_of(eps, self.name)
         if monitor is not None and not callable(monitor):
             raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")
+        return options if method == "vi" else SolverOptions(method, value, source=f"{self.name}:")
+
+    def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> tuple[Outcome, State]:
+        """Solve, into u (collective)."""
+        garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
+        check_not_moved(self.level, self._vertices, self.name)
+        options = self._options_of(eps, method, rtol, monitor)
         with self._settings():
             self._begin()
             problem = self._problem
-            if method != "vi":
-                options = SolverOptions(method, value, source=f"{self.name}:")
             levels = self._levels_for(options)
             start = self._press if len(levels) == 1 or self._has_start() else None
             numbered = None if monitor is None else _on_finest(monitor, problem)
@@ -444,7 +487,7 @@ class ObstacleProblem:
     @contextmanager
     def _settings(self) -> Iterator[None]:
         """Set the PETSc options of this problem during a solve."""
-        prefixes = [self._problem.prefix] if self._problem.prefix else ["penalty_", "vi_"]
+        prefixes = [self._system.prefix] if self._system.prefix else ["penalty_", "vi_"]
         options = {prefix + key: value for prefix in prefixes for key, value in self._options.items()}
         with overriding(options), releases.compiled_with(*self._compiled):
             try:
@@ -458,7 +501,7 @@ class ObstacleProblem:
         ignored = [key for key in self._options if all(prefix + key in left for prefix in prefixes)]
         if ignored:
             words = f"{self.name}: petsc_options that no solver uses: {', '.join(ignored)}"
-            warn(self.level.comm, words, stacklevel=6)
+            warn(self._system.comm, words, stacklevel=6)
 
     def _begin(self) -> None:
         """Update changed data, and start from u (collective)."""
@@ -515,7 +558,7 @@ class ObstacleProblem:
             problem.state.share()
 
 
-def _on_finest(monitor: Monitor, finest: Problem) -> StepMonitor:
+def _on_finest(monitor: Monitor, finest: System) -> StepMonitor:
     """A monitor as solvers take it: of the steps on the finest level."""
     numbers = count()
 
