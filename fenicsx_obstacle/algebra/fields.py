@@ -59,5 +59,5 @@ class FieldsStopping(Stopping):
         return 0.0
 
     @property
-    def _nothing(self) -> float:  # type: ignore[override]
+    def _nothing(self) -> float:
         return 0.0

@@ -17,10 +17,11 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.data_scales import EPSILON
+from fenicsx_obstacle.algebra.fields import ROUNDED
 from fenicsx_obstacle.algebra.methods import method_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.plausibility import NEAR, displacements
-from fenicsx_obstacle.algebra.stopping import ROUNDED, Step, StepMonitor
+from fenicsx_obstacle.algebra.stopping import Step, StepMonitor
 from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.data.admissible import check_admissible
 from fenicsx_obstacle.data.data import Data
