@@ -301,3 +301,25 @@ def test_bodies_on_springs_that_push():
             ObstacleProblem(F, u, bcs=bc, upper=1.0, of=ufl.dot(u, down), measure=ufl.ds).solve()
         words = [one for one in caught if "positive definite" in str(one.message)]
         assert len(words) == some * (COMM.rank == 0)
+
+
+@pytest.mark.parametrize("power", [3.0, 4.0])
+def test_where_the_stiffness_is_a_function_of_u_a_penetration_moves_soft_parts_farther(power):
+    """u is the obstacle on the left, and falls to 2/5 of it on the right, where the stiffness is 2.5^power times
+    smaller: a penetration of d moves u there by 2.5^power d."""
+    mesh = dmesh.create_unit_interval(COMM, 40)
+    V = functionspace(mesh, "Lagrange", 1)
+    x, v, given = ufl.SpatialCoordinate(mesh), ufl.TestFunction(V), fem.Function(V)
+    given.x.array[:] = 0.5
+    left = np.flatnonzero(V.tabulate_dof_coordinates()[:, 0] < 1e-9).astype(np.int32)
+    through = (0.5 ** (power + 1) - 0.2 ** (power + 1)) / (power + 1)  # of the flux, from the obstacle to the end
+    load = ufl.conditional(ufl.lt(x[0], 0.5), 200 * 0.5**power, -8 * through)
+    found = {}
+    for method in ("penalty", "vi"):
+        u = fem.Function(V)
+        u.x.array[:] = 0.5
+        F = abs(u) ** power * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - load * v * ufl.dx
+        problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(given, left)], upper=0.5)
+        found[method] = problem.solve(method=method).at([1.0])
+    assert 0.15 < found["vi"] < 0.25
+    assert found["penalty"] == pytest.approx(found["vi"], abs=0.01 * 0.3)

@@ -18,6 +18,7 @@ import numpy as np
 from fenicsx_obstacle.algebra.data_scales import negligible_force
 from fenicsx_obstacle.algebra.newton import diagonal_of, joined, smallest_eps, solve_penalty
 from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.plausibility import solved
 from fenicsx_obstacle.algebra.separate_parts import SeparateParts
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE
@@ -204,6 +205,7 @@ def fitting_eps(problem: System, eps: float) -> float:
 
     - the penetration is at most `PENETRATION` times the range of u between the obstacles, also in each part of the
       domain that given values separate, and
+    - no node moves farther than this, to first order, with the contact nodes that go back to the obstacle, and
     - at each contact node the penalty D_i/eps is much stiffer than A_ii, the stiffness of the solution. Then the
       penetration is small in each part of the domain, also in one that is much stiffer than the others. If the tension
       is among the data, eps is that of the largest tension, and fits.
@@ -220,11 +222,37 @@ def fitting_eps(problem: System, eps: float) -> float:
         fitting = AIM * PENETRATION * height / penetration * eps
     elif (share := share_in_parts(problem)) > PENETRATION:
         fitting = AIM * PENETRATION / share * eps
+    elif FLAT * penetration < height and (moved := _moved_by_penetration(problem, PENETRATION * height)) > 0:
+        fitting = AIM * PENETRATION * height / moved * eps
     if problem.tension() is None:  # otherwise eps is that of the largest tension
         least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
         if eps > TOO_SOFT * least:
             fitting = min(fitting, least)
     return eps if fitting < eps and _presses_by_round_off(problem, eps) else fitting
+
+
+def _moved_by_penetration(problem: System, allowed: float) -> float:
+    """How far u moves with the contact nodes that go back to the obstacle, to first order; 0 if not farther than is
+    allowed (collective).
+
+    No node moves farther than these where a(., .) is bilinear. If the stiffness is a function of u, as in porous media,
+    soft parts do: by the ratio of the stiffnesses.
+    """
+    if problem.affine or not problem.nodal:
+        return 0.0
+    comm, stiffness = problem.comm, diagonal_of(problem)
+    held = _excess(problem) > 0
+    pulls = largest(comm, np.where(held, stiffness * _excess(problem), 0.0))
+    if pulls <= allowed * smallest(comm, stiffness[~held & ~problem.fixed]):
+        return 0.0
+    x, b = problem.A.createVecs()
+    state = problem.vector()
+    problem.jacobian(state)
+    b.array[:] = np.where(held, problem.weights * _excess(problem) / problem.eps, 0.0)
+    moved = largest(comm, np.abs(x.array_r)) if solved(problem.dofs, problem.A, b, x) else 0.0
+    for vector in (x, b, state):
+        vector.destroy()
+    return moved if moved > allowed else 0.0
 
 
 def _presses_by_round_off(problem: System, eps: float) -> bool:
