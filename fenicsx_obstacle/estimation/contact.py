@@ -121,7 +121,8 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
         w[:] = kept
         problem.state.share()
         force = problem.weights[inside] * np.abs(pressure[inside])
-        more = sign * (there.array_r - here.array_r)[inside]
+        with np.errstate(invalid="ignore"):  # F may be infinite there
+            more = sign * (there.array_r - here.array_r)[inside]
         shares[inside] = force / (force + np.where(np.isfinite(more), np.maximum(more, 0.0), 0.0))
     for vector in (here, there):
         vector.destroy()
