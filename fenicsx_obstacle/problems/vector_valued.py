@@ -137,8 +137,8 @@ def contact_patches(problem: VectorProblem, contact: Contact, touching: fem.Func
         if number not in seen:
             seen.add(number)
             of = before[patch[before] == number]  # sums in one order on any number of ranks
-            sizes = np.linalg.norm(forces[of], axis=1)
-            middle = np.average(points[of], axis=0, weights=sizes if sizes.any() else None)  # contact without force
+            pushes = np.linalg.norm(forces[of], axis=1)
+            middle = np.average(points[of], axis=0, weights=pushes if pushes.any() else None)  # contact without force
             patches.append({
                 "force": forces[of].sum(axis=0).tolist(), "area": float(areas[of].sum()),
                 "peak": float(pressures[of].max()), "at": middle.tolist(),
