@@ -92,7 +92,7 @@ def broken_options() -> Iterator[Broken]:
         ("eps of nothing", ["study", SCENE, "--vary", "eps=1,2", "--set", "obstacle={}"], ["without an obstacle"]),
         ("two tolerances", ["solve", SCENE, "--tol", "0.1", "--tol-absolute", "0.1"], ["--tol"]),
         ("a budget without tolerance", ["solve", SCENE, "--budget", "60s"], ["--tol"]),
-        ("a bound for Q1", ["solve", SCENE, "--bound", *Q1], ["bound", "P1 on intervals"]),
+        ("a bound for Q1", ["solve", SCENE, "--bound", *Q1], ["bound", "P1 and P2 on intervals"]),
         ("a tolerance for Q1", ["solve", SCENE, "--tol", "0.1", *Q1], ["Q1"]),
         ("output into a file", ["solve", SCENE, "--output", SCENE], ["--output"]),
         ("output below a file", ["solve", SCENE, "--output", f"{SCENE}/a/b"], ["--output"]),
