@@ -238,7 +238,7 @@ def _moved_by_penetration(problem: System, allowed: float) -> float:
     No node moves farther than these where a(., .) is bilinear. If the stiffness is a function of u, as in porous media,
     soft parts do: by the ratio of the stiffnesses.
     """
-    if problem.affine or not problem.nodal:
+    if problem.affine or not problem.nodal or problem.fields is not None:
         return 0.0
     comm, stiffness = problem.comm, diagonal_of(problem)
     held = _excess(problem) > 0

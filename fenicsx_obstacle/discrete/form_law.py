@@ -54,7 +54,8 @@ class FormLaw(Affine):
     def hold_fixed(self, A: PETSc.Mat) -> None:
         super().hold_fixed(A)
         starts, _, values = A.getValuesCSR()
-        self._sums = np.bincount(np.repeat(np.arange(len(self.D)), np.diff(starts)), np.abs(values), len(self.D))
+        rows = np.repeat(np.arange(len(self.D)), np.diff(starts))
+        self._sums = np.bincount(rows, np.abs(values), len(self.D)).astype(float)  # integers without rows
 
     @property
     def scales(self) -> np.ndarray:
