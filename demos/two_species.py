@@ -16,6 +16,7 @@
 from mpi4py import MPI  # before dolfinx: DOLFINx from pip requires that MPI is already loaded
 
 # isort: split
+import matplotlib.pyplot as plt
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -66,3 +67,24 @@ assert 0 < solution.area[0] < 1 and solution.force[0].lower < q[0]
 for i in (0, 1):
     p = solution.pressure[i].x.array
     assert np.all(p >= 0) and np.all(p <= q[i] + 1e-8)
+
+# %% [markdown]
+# ## Picture
+#
+# The concentrations along the middle of the domain, where the data do not depend on y. Dots are nodes at which a
+# species is used up.
+
+# %%
+x = V.tabulate_dof_coordinates()
+row = np.flatnonzero((np.abs(x[:, 1] - 0.5) < 1e-9) & (np.arange(len(x)) < V.dofmap.index_map.size_local))
+lines = [np.column_stack([x[row, 0], u.x.array.reshape(-1, 2)[row, i]]) for i in (0, 1)]
+lines = [np.concatenate(mesh.comm.allgather(line)) for line in lines]
+if mesh.comm.rank == 0:
+    page, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
+    for i, (line, color) in enumerate(zip(lines, ("#0072B2", "#D55E00"), strict=True)):
+        at, value = line[np.argsort(line[:, 0])].T
+        axes.plot(at, value, "-", color=color, label=f"$u_{i}$")
+        axes.plot(at[value == 0], value[value == 0], ".", color=color)
+    axes.set(xlabel="x", ylabel="concentration")
+    axes.legend(frameon=False)
+    page.savefig("two_species.png", dpi=120)

@@ -194,7 +194,7 @@ def test_page(tmp_path):
         keys = [json.loads(text)["key"] for text in (out / "rows.jsonl").read_text().splitlines()]
         assert len(set(keys)) == len(keys) > 5 and keys == (kept or keys)
         kept = keys
-    assert "next digit of" in done.stdout and "P2 auto: failed: " in done.stdout
+    assert "next digit of" in done.stdout and "P2 auto: ends: the next mesh would have more" in done.stdout
     page = (out / "report.html").read_text()
     assert page.count("<img") == 4 and "Time for one more digit" in page
     assert "http" not in page.replace("http://www.w3.org", "") and "<script" not in page
