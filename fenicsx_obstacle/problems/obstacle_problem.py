@@ -33,7 +33,6 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.mesh.levels import Level, of_space
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.parallel import agree, largest, smallest, total, warn
-from fenicsx_obstacle.problems.components import ComponentSolution, ComponentSystem, bounds_of
 from fenicsx_obstacle.problems.form_checks import (
     check_energy,
     check_form,
@@ -70,6 +69,7 @@ if TYPE_CHECKING:
     from fenicsx_obstacle.check.finding import Verification
     from fenicsx_obstacle.estimation.bound import Estimator
     from fenicsx_obstacle.estimation.contact import Contact
+    from fenicsx_obstacle.problems.components import ComponentSolution, ComponentSystem
 
 Monitor = Callable[[int, Step], None]
 
@@ -172,7 +172,9 @@ class ObstacleProblem:
         mesh, compiled = V.mesh, (form_compiler_options, jit_options)
         in_components = isinstance(lower, Mapping) or isinstance(upper, Mapping)
         self._vector_valued = V.dofmap.index_map_bs > 1 and not in_components
-        if in_components:
+        if in_components:  # a scalar problem does not load this
+            from fenicsx_obstacle.problems.components import ComponentSystem, bounds_of
+
             refuse_given(name, of=of, measure=measure, stress=stress)
         elif not self._vector_valued:
             facets = None if measure is None else facets_of(measure, mesh, name)
