@@ -6,9 +6,9 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import sizes
 from fenicsx_obstacle.mesh import levels
-from fenicsx_obstacle.mesh.cells import corners, facet_vertices, own_cells, sides, volumes
+from fenicsx_obstacle.mesh.cells import corners, facet_vertices, longest_edges, own_cells, sides, volumes
 from fenicsx_obstacle.mesh.transfer import downward
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes

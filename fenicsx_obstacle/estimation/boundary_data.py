@@ -43,9 +43,9 @@ from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Group
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.shared_edges import SharedEdges
-from fenicsx_obstacle.estimation.simplex_geometry import longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import sizes
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.mesh.cells import facet_vertices
+from fenicsx_obstacle.mesh.cells import facet_vertices, longest_edges
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 # of facets, by the dimension of the cells

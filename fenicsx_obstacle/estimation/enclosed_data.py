@@ -20,7 +20,8 @@ from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
 from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Group, Pieces
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
-from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges, sizes
+from fenicsx_obstacle.estimation.simplex_geometry import least_heights, sizes
+from fenicsx_obstacle.mesh.cells import longest_edges
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.data.data import Data

@@ -28,8 +28,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.estimation.patches import pairs
-from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
-from fenicsx_obstacle.mesh.cells import cell_facets, corners, volumes
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, longest_edges, volumes
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import largest, total
 

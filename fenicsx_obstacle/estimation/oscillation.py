@@ -22,8 +22,8 @@ from fenicsx_obstacle.estimation.cell_data import Load
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
-from fenicsx_obstacle.estimation.simplex_geometry import longest_edges
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
+from fenicsx_obstacle.mesh.cells import longest_edges
 from fenicsx_obstacle.parallel import total
 
 J11 = 3.8317059702075  # first zero of the Bessel function J_1

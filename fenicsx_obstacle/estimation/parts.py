@@ -8,7 +8,8 @@ from typing import Self
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.estimation.simplex_geometry import least_heights, longest_edges
+from fenicsx_obstacle.estimation.simplex_geometry import least_heights
+from fenicsx_obstacle.mesh.cells import longest_edges
 
 CLOSE = 1e-12  # of the range of a linear function over a part: where it is so near a level, it is there
 EMPTY = 1e-14  # share of a part that is round-off

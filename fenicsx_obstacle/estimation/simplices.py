@@ -11,9 +11,9 @@ from fenicsx_obstacle import polynomials, releases
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.quadrature import blocks
-from fenicsx_obstacle.estimation.simplex_geometry import inward, signed_sizes
+from fenicsx_obstacle.estimation.simplex_geometry import inward
 from fenicsx_obstacle.mesh.around_nodes import AroundNodes
-from fenicsx_obstacle.mesh.cells import cell_facets, corners, own_cells
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, own_cells, signed_volumes
 from fenicsx_obstacle.parallel import total
 
 ON_AXIS = 1e-12  # relative to the largest distance from it
@@ -48,7 +48,7 @@ class Simplices:
         self.dim = level.mesh.topology.dim
         count = own_cells(level.mesh)
         x = corners(level.mesh)[:count, :, : self.dim]
-        signed = signed_sizes(x)
+        signed = signed_volumes(x)
         self._turned = np.flatnonzero(signed < 0)
         self.x = self.turned(x)
         self.dofs = self.turned(releases.cell_dofs(level.V)[:count])

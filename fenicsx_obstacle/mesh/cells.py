@@ -125,8 +125,7 @@ def spanned(edges: np.ndarray) -> np.ndarray:
     """
     if edges.shape[1] == 1:
         return lengths(edges[:, 0])
-    (a, b, c), (u, v, w) = edges[:, 0].T, edges[:, 1].T
-    across = np.stack([b * w - c * v, c * u - a * w, a * v - b * u], axis=1)
+    across = np.stack(cross(edges[:, 0], edges[:, 1]), axis=1)
     return lengths(across) if edges.shape[1] == 2 else np.abs(np.einsum("ni,ni->n", across, edges[:, 2]))
 
 
@@ -135,15 +134,43 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
+def signed_volumes(x: np.ndarray) -> np.ndarray:
+    """Lengths, areas or volumes of simplices that fill their space, negative where the determinant of the corners is.
+
+    Args:
+        x: Corners, shape (n, d + 1, d).
+    """
+    edges = [x[:, k] - x[:, 0] for k in range(1, x.shape[1])]
+    if len(edges) == 1:
+        return edges[0][:, 0]
+    if len(edges) == 2:
+        return (edges[0][:, 0] * edges[1][:, 1] - edges[0][:, 1] * edges[1][:, 0]) / 2
+    return sum(part * edges[2][:, k] for k, part in enumerate(cross(edges[0], edges[1]))) / 6
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The vector products of the rows, by coordinates."""
+    (u, v, w), (x, y, z) = a.T, b.T
+    return v * z - w * y, w * x - u * z, u * y - v * x
+
+
 def edge_lengths(corners: np.ndarray) -> np.ndarray:
-    """Lengths of the edges of simplices given by their corners (n, vertices, 3), shape (n, edges)."""
+    """Lengths of the edges of simplices given by their corners (n, vertices, d), shape (n, edges)."""
     pairs = combinations(range(corners.shape[1]), 2)
     return np.stack([lengths(corners[:, i] - corners[:, j]) for i, j in pairs], axis=1)
 
 
-def sizes(corners: np.ndarray) -> np.ndarray:
-    """dim! times the volume over the longest edge to the power dim."""
-    edges, longest = corners[:, 1:] - corners[:, :1], edge_lengths(corners).max(axis=1)
+def longest_edges(corners: np.ndarray) -> np.ndarray:
+    """The longest edge of each simplex; 0 of points."""
+    found = np.zeros(len(corners))
+    for i, j in combinations(range(corners.shape[1]), 2):
+        np.maximum(found, lengths(corners[:, i] - corners[:, j]), out=found)
+    return found
+
+
+def shapes(corners: np.ndarray) -> np.ndarray:
+    """dim! times the volume over the longest edge to the power dim, dimensionless."""
+    edges, longest = corners[:, 1:] - corners[:, :1], longest_edges(corners)
     return spanned(edges / np.maximum(longest, np.finfo(float).tiny)[:, None, None])
 
 

@@ -26,8 +26,10 @@ from fenicsx_obstacle.mesh.cells import (
     edge_lengths,
     facet_corners,
     facet_vertices,
+    longest_edges,
     own_cells,
-    sizes,
+    shapes,
+    signed_volumes,
     spanned,
 )
 from fenicsx_obstacle.mesh.validation import place
@@ -152,17 +154,18 @@ def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[
 
 def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
     """A message about an invalid cell, such as one without volume or three cells at a facet (collective)."""
-    dim, own = mesh.topology.dim, slice(own_cells(mesh))
-    vertices = corners(mesh, own)
+    dim, every = mesh.topology.dim, corners(mesh)
+    vertices = every[: own_cells(mesh)]
     if releases.cell_name(mesh) in TENSORS:
         parts = corner_simplices(vertices, dim)
-        sound = (sizes(parts.reshape(-1, dim + 1, 3)) > FLAT).reshape(parts.shape[:2]).all(axis=1)
+        simplices = parts.reshape(-1, dim + 1, 3)
+        sound = (shapes(simplices) > FLAT).reshape(parts.shape[:2]).all(axis=1)
         if dim == mesh.geometry.dim:
-            sides = np.sign(np.linalg.det((parts[:, :, 1:] - parts[:, :, :1])[..., :dim]))
+            sides = np.sign(signed_volumes(simplices[..., :dim])).reshape(parts.shape[:2])
             sound &= np.abs(sides.sum(axis=1)) == sides.shape[1]
         flat = np.flatnonzero(~sound)
     else:
-        flat = np.flatnonzero(~(sizes(vertices) > FLAT))
+        flat = np.flatnonzero(~(shapes(vertices) > FLAT))
     mine = None
     if len(flat):
         word = {1: "length", 2: "area", 3: "volume"}[dim]
@@ -173,17 +176,17 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
         if beside.max(initial=0) > 2:
             cell = int(mesh.topology.connectivity(dim - 1, dim).links(int(np.argmax(beside)))[0])
         else:
-            cell = _folded(mesh)
+            cell = _folded(mesh, every)
         if cell >= 0:
-            mine = f"at {place(corners(mesh, slice(cell, cell + 1))[0].mean(axis=0))} cells lie on each other"
+            mine = f"at {place(every[cell].mean(axis=0))} cells lie on each other"
     return first_given(mesh.comm, mine)
 
 
-def _folded(mesh: dmesh.Mesh) -> int:
+def _folded(mesh: dmesh.Mesh, vertices: np.ndarray) -> int:
     """A local cell that lies on the same side of a facet as its neighbour, as after a vertex was moved too far; -1 if
     there is none. Hexahedra are not checked (local)."""
-    dim, rows, vertices = mesh.topology.dim, releases.geometry_dofs(mesh), corners(mesh)
-    turn = np.linalg.det((vertices[:, 1 : dim + 1] - vertices[:, :1])[:, :, :dim])
+    dim, rows = mesh.topology.dim, releases.geometry_dofs(mesh)
+    turn = signed_volumes(vertices[:, : dim + 1, :dim])
     # the orientation of each facet, vertices by their numbers, as seen from its cell: two neighbours must differ
     facets, table = facet_corners(mesh), cell_facets(mesh)
     if releases.cell_name(mesh) in TENSORS:
@@ -351,7 +354,7 @@ def _check_overlap(mesh: dmesh.Mesh, found: Components, samples: np.ndarray, com
         inside = weights.min(axis=1, initial=np.inf) > INSIDE
     else:  # a side of one part that lies on cells of another, not in their plane only
         away = np.linalg.norm(np.einsum("nv,nvi->ni", weights, vertices) - points[rows], axis=1)
-        inside = (weights.min(axis=1, initial=np.inf) > -INSIDE) & (away <= NEAR * edge_lengths(vertices).max(axis=1))
+        inside = (weights.min(axis=1, initial=np.inf) > -INSIDE) & (away <= NEAR * longest_edges(vertices))
     facet, sample = np.divmod(rows[inside], samples.shape[1])
     hits = np.concatenate(comm.allgather(np.column_stack([facet, found.of_cells[cells[inside]], sample])))
     facets = np.unique(hits[:, 0])

@@ -10,7 +10,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.mesh.cells import cell_facets, corners, edge_lengths, facet_vertices, own_cells
+from fenicsx_obstacle.mesh.cells import cell_facets, corners, facet_vertices, longest_edges, own_cells
 from fenicsx_obstacle.parallel import before, on_root
 from fenicsx_obstacle.polynomials import CHILDREN, EDGES
 
@@ -101,7 +101,7 @@ def on_cad(
     found = on_root(comm, lambda: to_cad(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
     old, new = points[mine], found[first : first + len(mine)]
     distance, size = np.linalg.norm(new - old, axis=1), np.full(len(points), np.inf)
-    longest = edge_lengths(corners(mesh)).max(axis=1)
+    longest = longest_edges(corners(mesh))
     np.minimum.at(size, releases.cell_dofs(V), longest[:, None])
     far = (distance > STAYS * np.linalg.norm(old, axis=1)) & (distance < size[mine])
     moved = points.copy()
