@@ -371,7 +371,7 @@ def test_command(tmp_path, monkeypatch):
     done = inside("solve", "ball", "--cells", 8, "--verify", cwd=tmp_path)
     assert done.returncode == 0
     assert done.stdout.splitlines()[-1] == "verdict: right"
-    monkeypatch.setattr("fenicsx_obstacle.check.verification.AT_BOUND", -1.0)
+    monkeypatch.setattr("fenicsx_obstacle.check.verification.ROUNDED", -1.0)
     done = inside("solve", "ball", "--cells", 8, "--method", "vi", "--verify", cwd=tmp_path)
     assert done.returncode == 3
     assert done.stdout.splitlines()[-1] == "verdict: wrong"

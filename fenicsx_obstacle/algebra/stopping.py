@@ -82,7 +82,6 @@ class Stopping:
         least: Steps to take at least.
         tolerance: Unbalanced force over acting forces.
         patience: Steps after which to give up.
-        touching: Gap up to which a node touches a bound (SNES VI only).
         monitor: Called after each step.
         roundoff_limited: Balance was only reached up to the round-off of w.
         from_afar: The round-off of w exceeds the tolerance, and hardly any of it is that of u.
@@ -100,7 +99,6 @@ class Stopping:
     least: int = 0
     tolerance: float = TOLERANCE
     patience: int = 10**9
-    touching: float = 0.0
     monitor: StepMonitor | None = None
     roundoff_limited: bool = False
     from_afar: bool = False
@@ -174,7 +172,7 @@ class Stopping:
         lower, upper = problem.gaps() if self.exact_bounds else problem.pressed_gaps()
         if self.exact_bounds:
             # complementarity: at the lower bound the support may only push up, a(u, phi) - f >= 0
-            below, above = (lower <= self.touching) & (elastic > 0), (upper <= self.touching) & (elastic < 0)
+            below, above = (lower <= 0) & (elastic > 0), (upper <= 0) & (elastic < 0)
             residual = np.where((below | above) & problem.touchable, 0.0, elastic)
         else:
             below, above = lower < 0, upper < 0

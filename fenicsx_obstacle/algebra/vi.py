@@ -19,9 +19,9 @@ from fenicsx_obstacle.errors import InputError
 # without descent PETSc's line search fails, or takes round-off for a minimum of its merit function
 LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
 INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
-AT_BOUND = 1e-12  # of the range of u: nearer than this a node is at its bound
 NEAR = 1e-6  # the same contact, but for nodes that press very little
-VI = {**NEWTON, "snes_type": "vinewtonrsls"}
+# the state lies between the bounds, so a node in contact is at its bound to the last digit
+VI = {**NEWTON, "snes_type": "vinewtonrsls", "snes_vi_zero_tolerance": 0.0}
 
 
 def solve_vi(
@@ -114,9 +114,7 @@ def _attempt(problem: System, how: dict[str, Any], multigrid: Multigrid | None, 
     lower.array[~problem.touchable], upper.array[~problem.touchable] = -INFINITE, INFINITE
     x.array[:] = np.clip(x.array_r, lower.array_r, upper.array_r)
     problem.set_state(x)
-    touching = AT_BOUND * problem.range_of_u()
-    options = {**options, "snes_vi_zero_tolerance": touching}
-    stopping = stopping_of(problem, exact_bounds=True, touching=touching, **how)
+    stopping = stopping_of(problem, exact_bounds=True, **how)
     outcome = run(problem, "vi", options, stopping, penalised=False, multigrid=multigrid,
                   prepare=lambda snes: snes.setVariableBounds(lower, upper))  # fmt: skip
     for vector in (x, lower, upper):
@@ -125,12 +123,11 @@ def _attempt(problem: System, how: dict[str, Any], multigrid: Multigrid | None, 
 
 
 def residual_pressure(problem: System) -> np.ndarray:
-    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere (collective).
+    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere.
 
     The last residual must be the one of the solution.
     """
     lower, upper = problem.gaps()
     p = np.where(problem.touchable, problem.elastic.array_r, 0.0) / np.where(problem.touchable, problem.weights, 1.0)
-    tolerance = AT_BOUND * problem.range_of_u()
-    held = ((lower <= tolerance) & (p > 0)) | ((upper <= tolerance) & (p < 0))
+    held = ((lower <= 0) & (p > 0)) | ((upper <= 0) & (p < 0))
     return np.where(held, p, 0.0)

@@ -15,7 +15,6 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
 from fenicsx_obstacle.algebra.stopping import may_be_left, round_off, small_correction
-from fenicsx_obstacle.algebra.vi import AT_BOUND
 from fenicsx_obstacle.check.again import other_units, reversed_rows, solved
 from fenicsx_obstacle.check.finding import Finding, Reason, Verification, violated
 from fenicsx_obstacle.check.reference import FreeRows, distance, free_rows, is_small, positive_factors
@@ -25,7 +24,7 @@ from fenicsx_obstacle.estimation.contact import Contact, contact_of
 from fenicsx_obstacle.parallel import largest, on_root, smallest, total
 
 ROUNDED = ROUNDOFF_MARGIN * EPSILON  # of the sum of the absolute values of what is added
-BY_MEANS = 1e-8  # of the range of u: as `AT_BOUND`, for contact that is not at nodes
+BY_MEANS = 1e-8  # of the range of u: gaps at a bound, for contact that is not at nodes
 TINY = 1e-300
 SAME = 1e-9  # relative: areas and forces of one pressure
 
@@ -205,7 +204,7 @@ def contact_law(s: State) -> list[Finding]:
     problem, comm = s.problem, s.problem.comm
     if not problem.constrained:
         return []
-    at = AT_BOUND if problem.nodal else BY_MEANS
+    at = 0.0 if problem.nodal else BY_MEANS
     beyond = np.maximum(-s.below, 0.0) - np.maximum(-s.above, 0.0)
     if s.eps is None:
         most = max(largest(comm, np.abs(beyond)[problem.touchable]), 0.0)

@@ -29,7 +29,6 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.data_scales import NEGLIGIBLE_FORCE, nearest_gap
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
-from fenicsx_obstacle.algebra.vi import AT_BOUND
 from fenicsx_obstacle.check.verification import ROUNDED, State
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.solvability import ROUND_OFF
@@ -225,15 +224,10 @@ class ReferenceProblem:
         left = np.abs(found.unbalanced) + found.noise
         # the values of u themselves are rounded, and w where it was counted from the other obstacle
         last = ROUNDED * (np.abs(w) + np.abs(r) + self._between()) * self.free
-        # what SNES VI takes to be at its bound may be this far off
-        slip = last if eps is not None else last + AT_BOUND * found.range
         z, R = np.full(len(w), np.inf), np.inf
         if self.held:
-            z = np.abs(self.lift(left)) + slip
-            R = self._reach(left, found.unbalanced, slip, last)
-            if eps is None:  # e' A e <= r' e + p (u - g): a pressed node is at its bound up to a tolerance
-                gap, pressed = np.minimum(np.abs(found.below), np.abs(found.above)), p != 0
-                R += np.sqrt(total(self.comm, (self.D * np.abs(p))[pressed] * gap[pressed]))
+            z = np.abs(self.lift(left)) + last
+            R = self._reach(left, found.unbalanced, last)
         q = np.where(
             self.touchable, (2 * self.diagonal * z + np.abs(found.unbalanced)) / np.maximum(self.D, 1e-300), 0.0
         )
@@ -247,9 +241,9 @@ class ReferenceProblem:
         apart = above - below
         return np.where(np.isfinite(apart), np.abs(apart), 0.0)
 
-    def _reach(self, left: np.ndarray, signed: np.ndarray, slip: np.ndarray, last: np.ndarray) -> float:
+    def _reach(self, left: np.ndarray, signed: np.ndarray, last: np.ndarray) -> float:
         """R of a residual, of which `left` is the size with its round-off."""
-        off = np.abs(self.lift(left, "symmetric")) + slip
+        off = np.abs(self.lift(left, "symmetric")) + last
         R = np.sqrt(total(self.comm, left * off)) + np.sqrt(total(self.comm, self.diagonal * last**2))
         if not self.monotone or not self.symmetric:  # r' S^-1 r may exceed |r|' S^-1 |r| then
             R += np.sqrt(max(total(self.comm, signed * self.lift(signed, "symmetric")), 0.0))
