@@ -186,8 +186,9 @@ def main() -> None:
             true, path = abs(goal["value"] - exact), record["adaptive"]["path"]
             ratios.append((goal["error"] / true, true / size <= tol))
             errors = f"{true / size:8.2e} {goal['error'] / size:8.2e} {goal['error'] / true:8.2f}"
+            end = "" if record["adaptive"]["reached"] else "; the tolerance is not reached"
             show(f"{name:>15} {quantity:>10} {tol:6g} {len(path):6} {record['dofs']:8} {goal['dofs']:7} {unknowns:>9} "
-                 f"{errors}  {goal['words']}")  # fmt: skip
+                 f"{errors}  {goal['words']}{end}")  # fmt: skip
             if options.json is not None and MPI.COMM_WORLD.rank == 0:
                 with options.json.open("a") as file:
                     file.write(json.dumps({**record, "exact_goal": exact}) + "\n")

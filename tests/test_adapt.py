@@ -56,6 +56,13 @@ def test_eps_is_lowered_until_the_mesh_decides():
     assert "eps = 0.01 alone contributes" in held.summary()
 
 
+def test_eps_is_lowered_to_round_off_where_the_mesh_has_no_error():
+    """Under a wedge u is linear between its tip and the ends: the penalty dominates for every eps."""
+    scene = catalogue.scene("string_wedge").change({"mesh.cells": 8, "solve.element": "P2"})
+    answer = solve(scene, tol=1e-6)
+    assert answer.adaptive.reached and 0 < answer.eps <= 1e-16
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("budget", ["2000 unknowns", "0.001s", "1 MB"])
 def test_budget(budget):

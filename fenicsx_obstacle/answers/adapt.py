@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext, close
@@ -193,12 +194,13 @@ class Refinement:
             answer = context.answer(self.options, bound=True, errors=first)
             return answer, _bound(answer)
 
-        return self.with_eps(bounded)[0]
+        return self.with_eps(context, bounded)[0]
 
-    def with_eps(self, solve: Callable[[], tuple[Answer, Any]]) -> tuple[Answer, Any]:
+    def with_eps(self, context: SolverContext, solve: Callable[[], tuple[Answer, Any]]) -> tuple[Answer, Any]:
         """Solve, and again with a smaller eps as long as the part of the penalty dominates (collective).
 
         Args:
+            context: Of the mesh.
             solve: Returns an answer and its error, with the parts `discretisation` and `penalty`.
         """
         self._solves = 0
@@ -208,6 +210,8 @@ class Refinement:
         while chosen and error.penalty > BALANCED * error.discretisation:
             least, ahead = self.ahead(answer)
             eps = answer.record["eps"] * max(least, ahead * BALANCED * error.discretisation / error.penalty)
+            if (eps := max(eps, smallest_eps(context.problem))) >= answer.record["eps"]:
+                break
             self.options, before = replace(self.options, eps=eps), error.penalty
             answer, error = solve()
             self._solves += 1

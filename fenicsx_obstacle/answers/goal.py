@@ -122,7 +122,7 @@ class GoalAdaptation(Adaptation):
                 self._bounded = context.estimator is not None
         found = self._guaranteed(context) if self._bounded else None
         if found is None:
-            self._bounded, found = False, self.with_eps(lambda: self._refined(context))
+            self._bounded, found = False, self.with_eps(context, lambda: self._refined(context))
             reason = unresolved(context.problem.data)  # no finer mesh is known to have a jump at the right place
             self.words = "estimated" if reason is None else f"estimated, not settled: {reason}"
         answer, self.estimate = found
