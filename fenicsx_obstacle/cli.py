@@ -65,9 +65,8 @@ def solve(
     if newton:
         scene.only_scalar("--newton")
     from fenicsx_obstacle.answers.solve import solve
-    from fenicsx_obstacle.show.page import NAME
     from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.report import report_answer
+    from fenicsx_obstacle.show.report import PAGE, report_answer
 
     if verify and scene.time is not None:
         raise InputError(f"{scene.source}: [time]: --verify checks equilibria, not steps in time")
@@ -81,7 +80,7 @@ def solve(
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
-        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} has all results")
+        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {PAGE} has all results")
     if checked is not None:
         tell(str(checked))
         if not checked:
