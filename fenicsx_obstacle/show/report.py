@@ -26,7 +26,8 @@ from fenicsx_obstacle.show.template import filled
 from fenicsx_obstacle.text import title_of
 
 PAGE, PICTURE = "report.html", "answer.png"
-EARLIER = ("bound.png", "history.png", "answer.gif")  # where there is a bound, and a course in time
+BOUND = "bound.png"
+EARLIER = (BOUND, "history.png", "answer.gif")  # where there is a bound, and a course in time
 
 
 def report_answer(
@@ -60,12 +61,12 @@ def report_answer(
     if file is not None:
         said = answer.plot(file).said
         if answer.bound is not None and answer.bound.indicator is not None:  # which is not saved
-            from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
+            from fenicsx_obstacle.show.maps import draw_bound  # only where there is a bound
 
             indicator = gathered(comm, answer.bound.indicator)
-            words = on_root(comm, draw_bound, indicator, gather(answer.fields), answer.bound, folder / NAME)
+            words = on_root(comm, draw_bound, indicator, gather(answer.fields), answer.bound, folder / BOUND)
             said += f"\n  {words}"
-            others["Contribution of each cell to the bound"] = folder / NAME
+            others["Contribution of each cell to the bound"] = folder / BOUND
     else:
         said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
     if newton:
