@@ -322,8 +322,7 @@ def hard(
     from fenicsx_obstacle.checkout import add_tests
 
     add_tests("hard")
-    from tests.cli.broken.show import show_broken
-    from tests.cli.faults.show import show_faults
+    from tests.cli.show import show_broken, show_faults
     from tests.hard.show import show_hard
     from tests.random.show import show_random
 
