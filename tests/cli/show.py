@@ -38,19 +38,15 @@ def show_broken(folder: Path, say: Callable[[str], None]) -> list[dict[str, Any]
     """
     one_rank()
     start, rows = time.perf_counter(), []
-    tried, held, slowest = Counter[tuple[int, bool]](), Counter[tuple[int, bool]](), 0.0
     with tempfile.TemporaryDirectory(prefix="broken-") as root:
-        for one in run(Path(root), environment()):
-            group = one.ranks, one.alone
-            tried[group] += 1
-            held[group] += one.complaint is None
-            slowest = max(slowest, one.seconds)
-            rows.append({"case": one.case.name, "command": one.case.command(), "ranks": one.ranks, "alone": one.alone,
-                         "seconds": one.seconds, "verdict": "held" if one.complaint is None else "FAILED",
-                         "message": one.said, "complaint": one.complaint})  # fmt: skip
-            if one.complaint is not None:
-                say(f"  {one.case.name}, on {one.ranks}: FAILED: {one.complaint}: {one.said.strip()[-300:]}")
+        for row in run(Path(root), environment()):
+            rows.append(row)
+            if row["complaint"] is not None:
+                say(f"  {row['case']}, on {row['ranks']}: FAILED: {row['complaint']}: {row['message'].strip()[-300:]}")
     on_root(MPI.COMM_WORLD, write_lines, folder / BROKEN, rows)
+    tried = Counter((row["ranks"], row["alone"]) for row in rows)
+    held = Counter((row["ranks"], row["alone"]) for row in rows if row["verdict"] == "held")
+    slowest = max((row["seconds"] for row in rows), default=0.0)
     for (ranks, alone), count in sorted(tried.items()):
         how = "each in a process of its own" if alone else "one after another in one process"
         say(f"on {ranks} rank{'s' if ranks > 1 else ''}, {how}: {count} tried, {held[ranks, alone]} held")
