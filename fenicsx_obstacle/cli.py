@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, along_text, interval, named, options, typed, varied
-from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
+from fenicsx_obstacle.console import STARTED, check_places, progress, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import WRONG, InputError
 
 ASKED = ("bound", "tol", "tol_absolute", "goal", "budget", "uncertainty", "restart", "yardstick")  # of solve()
@@ -65,7 +65,6 @@ def solve(
     if newton:
         scene.only_scalar("--newton")
     from fenicsx_obstacle.answers.solve import solve
-    from fenicsx_obstacle.show.progress import progress
     from fenicsx_obstacle.show.report import PAGE, report_answer
 
     if verify and scene.time is not None:
@@ -347,7 +346,6 @@ def hard(
 def demo(output: Path) -> None:
     """In a clone: solve scenes of demos/ and draw studies in eps and h."""
     from fenicsx_obstacle.show.demo import run_demo
-    from fenicsx_obstacle.show.progress import progress
 
     with progress("demo", quiet=False):
         run_demo(output, tell)
