@@ -82,14 +82,19 @@ def lost_output() -> str | None:
     return None if error is None else "closed by its reader" if isinstance(error, BrokenPipeError) else error.strerror
 
 
-def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
-    """The exit status of a saved answer: `NOT_REACHED`, with a line on standard error, or 0."""
+def _ranks() -> Any:
+    """All ranks; MPI begins where it is imported."""
     from mpi4py import MPI
 
+    return MPI.COMM_WORLD
+
+
+def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
+    """The exit status of a saved answer: `NOT_REACHED`, with a line on standard error, or 0."""
     adaptive = record.get("adaptive")
     if adaptive is None or adaptive["reached"]:
         return 0
-    if MPI.COMM_WORLD.rank == 0:
+    if _ranks().rank == 0:
         what = f"the {'relative' if adaptive['relative'] else 'absolute'} tolerance {adaptive['tolerance']:g}"
         what += f" for {adaptive['of']}" if adaptive.get("of") else ""
         click.echo(f"Error: {what} is not reached: {adaptive['stopped']}; the last answer is in {folder}", err=True)
@@ -98,22 +103,18 @@ def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
 
 def tell(text: str) -> None:
     """Print on rank 0."""
-    from mpi4py import MPI
-
-    if MPI.COMM_WORLD.rank == 0:
+    if _ranks().rank == 0:
         with beside_bars(sys.stdout):
             click.echo(text)
 
 
 def check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
     """Reject files and folders that cannot be written, before anything is computed (collective)."""
-    from mpi4py import MPI
-
     from fenicsx_obstacle import parallel
 
     given = {"--json": None if json_file == "-" else json_file, "--latex": latex}
     files = {option: Path(file) for option, file in given.items() if file is not None}
-    parallel.on_root(MPI.COMM_WORLD, parallel.check_places, folder, files)
+    parallel.on_root(_ranks(), parallel.check_places, folder, files)
 
 
 def rows_of(
@@ -140,14 +141,12 @@ def rows_of(
 
 def write_json(file: str, records: Sequence[Any]) -> None:
     """One object in each line of a file; - is standard output (collective)."""
-    from mpi4py import MPI
-
     from fenicsx_obstacle.parallel import on_root, write_lines
 
     if file == "-":
         tell("\n".join(json.dumps(dict(record)) for record in records))
     else:
-        on_root(MPI.COMM_WORLD, write_lines, Path(file), records)
+        on_root(_ranks(), write_lines, Path(file), records)
 
 
 @contextmanager
@@ -158,9 +157,7 @@ def progress(name: str, *, quiet: bool) -> Iterator[None]:
         name: What is solved.
         quiet: No bar.
     """
-    from mpi4py import MPI
-
-    if quiet or MPI.COMM_WORLD.rank != 0 or not sys.stderr.isatty():
+    if quiet or _ranks().rank != 0 or not sys.stderr.isatty():
         yield
         return
     from tqdm import tqdm
@@ -197,10 +194,8 @@ def start_log(level: str | None) -> None:
     """
     if level is None:
         return
-    from mpi4py import MPI
-
     handler = _Stream()
-    line = f"%(asctime)s rank {MPI.COMM_WORLD.rank} %(levelname)s %(name)s: %(message)s"
+    line = f"%(asctime)s rank {_ranks().rank} %(levelname)s %(name)s: %(message)s"
     handler.setFormatter(logging.Formatter(line))
     handler.setLevel(level)
     logger = logging.getLogger(LIBRARY)
