@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from fenicsx_obstacle.console import start_log
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import pairs
 
@@ -29,12 +30,6 @@ class Place(click.Path):
         if value == "":
             self.fail("an empty name", param, ctx)
         return super().convert(value, param, ctx)
-
-
-def _start_log(_context: click.Context, _parameter: click.Parameter, level: str | None) -> None:
-    from fenicsx_obstacle.show.progress import start_log
-
-    start_log(level)
 
 
 def _load_plugins(_context: click.Context, _parameter: click.Parameter, files: tuple[str, ...]) -> None:
@@ -80,7 +75,7 @@ def options(*names: str) -> Callable[[Any], Any]:
             "--log",
             type=click.Choice(["DEBUG", "INFO", "WARNING", "ERROR"], case_sensitive=False),
             metavar="LEVEL",
-            callback=_start_log,
+            callback=lambda _context, _parameter, level: start_log(level),
             expose_value=False,
             help="Log with rank and time: DEBUG, INFO, WARNING or ERROR.",
         ),

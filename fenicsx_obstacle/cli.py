@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from fenicsx_obstacle.arguments import CHANGES, Place, along_text, interval, named, options, typed, varied
-from fenicsx_obstacle.console import STARTED, check_places, rows_of, tell, tolerance_status, write_json
+from fenicsx_obstacle.console import STARTED, check_places, progress, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import WRONG, InputError
 
 ASKED = ("bound", "tol", "tol_absolute", "goal", "budget", "uncertainty", "restart", "yardstick")  # of solve()
@@ -65,9 +65,7 @@ def solve(
     if newton:
         scene.only_scalar("--newton")
     from fenicsx_obstacle.answers.solve import solve
-    from fenicsx_obstacle.show.page import NAME
-    from fenicsx_obstacle.show.progress import progress
-    from fenicsx_obstacle.show.report import report_answer
+    from fenicsx_obstacle.show.report import PAGE, report_answer
 
     if verify and scene.time is not None:
         raise InputError(f"{scene.source}: [time]: --verify checks equilibria, not steps in time")
@@ -81,7 +79,7 @@ def solve(
     if json_file is not None:
         write_json(json_file, [answer.record])
     if not quiet and json_file != "-":
-        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {NAME} has all results")
+        tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {PAGE} has all results")
     if checked is not None:
         tell(str(checked))
         if not checked:
@@ -323,8 +321,7 @@ def hard(
     from fenicsx_obstacle.checkout import add_tests
 
     add_tests("hard")
-    from tests.cli.broken.show import show_broken
-    from tests.cli.faults.show import show_faults
+    from tests.cli.show import show_broken, show_faults
     from tests.hard.show import show_hard
     from tests.random.show import show_random
 
@@ -348,11 +345,33 @@ def hard(
               help="Folder for results.  [out/demo]")  # fmt: skip
 def demo(output: Path) -> None:
     """In a clone: solve scenes of demos/ and draw studies in eps and h."""
-    from fenicsx_obstacle.show.demo import run_demo
-    from fenicsx_obstacle.show.progress import progress
+    from fenicsx_obstacle.checkout import DEMOS, require
 
+    require("demo")
+    from fenicsx_obstacle.answers.solve import solve
+    from fenicsx_obstacle.show.report import report_answer
+    from fenicsx_obstacle.show.study import report_study
+    from fenicsx_obstacle.studies.convergence import Study
+    from fenicsx_obstacle.text import title_of
+
+    studies: list[tuple[str, str, dict[str, Any], dict[str, Any]]] = [
+        ("disk", "h fixed: u_eps tends to the solution of the variational inequality with order eps",
+         {"eps": [10.0**-k for k in range(1, 11)]}, {"cells": 64}),
+        ("disk", "eps = h^2: order 1 in H1, and at least 1 for the pressure in the dual norm",
+         {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),
+        ("ball", "eps = h^2 again, on Bueler's ball", {"cells": [16, 32, 64, 128]}, {"eps": "h^2"}),
+    ]  # fmt: skip
     with progress("demo", quiet=False):
-        run_demo(output, tell)
+        for name in ("string", "disk", "ball", "two_sided"):
+            answer = solve(DEMOS / f"{name}.toml")
+            answer.save(output / name)
+            _, drawn = report_answer(answer, output / name, picture=True)
+            tell(f"{answer.summary()}\n  {drawn}\n")
+        for name, headline, vary, options in studies:
+            scene = _read(str(DEMOS / f"{name}.toml"), {})
+            tell(f"{title_of(scene.tables.title, scene.name)}. {headline}")
+            report_study(Study(scene, vary, options), output / name / "-".join(vary), tell)
+            tell("")
 
 
 def _read(place: str, options: dict[str, Any]) -> Any:

@@ -1,25 +1,29 @@
-"""Printing and writing of the commands, on rank 0; imports nothing heavy.
+"""Printing and writing of the commands, on rank 0, a progress bar and a log; imports nothing heavy.
 
-Standard output and standard error never raise: a full disk or a closed pipe must not end a command that still has
-files to write, on one rank and not on the others. What was lost is told at the end.
+The library logs and never prints. Here, for the command line alone, its log becomes visible. Standard output and
+standard error never raise: a full disk or a closed pipe must not end a command that still has files to write, on one
+rank and not on the others. What was lost is told at the end.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import click
 
 from fenicsx_obstacle.errors import NOT_REACHED
-from fenicsx_obstacle.text import printable
+from fenicsx_obstacle.text import one_line, printable
 
+LIBRARY = "fenicsx_obstacle"
 STARTED = time.perf_counter()  # of a command
 
 
@@ -78,14 +82,19 @@ def lost_output() -> str | None:
     return None if error is None else "closed by its reader" if isinstance(error, BrokenPipeError) else error.strerror
 
 
-def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
-    """The exit status of a saved answer: `NOT_REACHED`, with a line on standard error, or 0."""
+def _ranks() -> Any:
+    """All ranks; MPI begins where it is imported."""
     from mpi4py import MPI
 
+    return MPI.COMM_WORLD
+
+
+def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
+    """The exit status of a saved answer: `NOT_REACHED`, with a line on standard error, or 0."""
     adaptive = record.get("adaptive")
     if adaptive is None or adaptive["reached"]:
         return 0
-    if MPI.COMM_WORLD.rank == 0:
+    if _ranks().rank == 0:
         what = f"the {'relative' if adaptive['relative'] else 'absolute'} tolerance {adaptive['tolerance']:g}"
         what += f" for {adaptive['of']}" if adaptive.get("of") else ""
         click.echo(f"Error: {what} is not reached: {adaptive['stopped']}; the last answer is in {folder}", err=True)
@@ -94,24 +103,18 @@ def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
 
 def tell(text: str) -> None:
     """Print on rank 0."""
-    from mpi4py import MPI
-
-    from fenicsx_obstacle.show.progress import beside_bars
-
-    if MPI.COMM_WORLD.rank == 0:
+    if _ranks().rank == 0:
         with beside_bars(sys.stdout):
             click.echo(text)
 
 
 def check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
     """Reject files and folders that cannot be written, before anything is computed (collective)."""
-    from mpi4py import MPI
-
     from fenicsx_obstacle import parallel
 
     given = {"--json": None if json_file == "-" else json_file, "--latex": latex}
     files = {option: Path(file) for option, file in given.items() if file is not None}
-    parallel.on_root(MPI.COMM_WORLD, parallel.check_places, folder, files)
+    parallel.on_root(_ranks(), parallel.check_places, folder, files)
 
 
 def rows_of(
@@ -128,8 +131,6 @@ def rows_of(
         latex: File for the table in LaTeX.
         quiet: Neither bar nor words.
     """
-    from fenicsx_obstacle.show.progress import progress
-
     check_places(folder, json_file, latex)
     with progress(name, quiet=quiet):
         rows = run(say=(lambda text: None) if quiet or json_file == "-" else tell)
@@ -140,11 +141,88 @@ def rows_of(
 
 def write_json(file: str, records: Sequence[Any]) -> None:
     """One object in each line of a file; - is standard output (collective)."""
-    from mpi4py import MPI
-
     from fenicsx_obstacle.parallel import on_root, write_lines
 
     if file == "-":
         tell("\n".join(json.dumps(dict(record)) for record in records))
     else:
-        on_root(MPI.COMM_WORLD, write_lines, Path(file), records)
+        on_root(_ranks(), write_lines, Path(file), records)
+
+
+@contextmanager
+def progress(name: str, *, quiet: bool) -> Iterator[None]:
+    """A bar on rank 0 while the block runs, if standard error is a terminal; it is gone afterwards (no MPI calls).
+
+    Args:
+        name: What is solved.
+        quiet: No bar.
+    """
+    if quiet or _ranks().rank != 0 or not sys.stderr.isatty():
+        yield
+        return
+    from tqdm import tqdm
+
+    form = "{desc} {postfix} [{elapsed}]"
+    name = one_line(name)
+    bar = tqdm(
+        desc=name, file=sys.stderr, leave=False, bar_format=form, miniters=0, mininterval=0.1, dynamic_ncols=True
+    )
+    handler, logger = _Bar(bar, name), logging.getLogger(LIBRARY)
+    before = logger.level
+    logger.addHandler(handler)
+    if logger.getEffectiveLevel() > logging.INFO:
+        logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(before)
+        bar.close()
+
+
+def beside_bars(file: Any) -> AbstractContextManager[Any]:
+    """While the block writes to `file`, a bar on the same terminal is out of the way."""
+    tqdm = sys.modules.get("tqdm")
+    return nullcontext() if tqdm is None else tqdm.tqdm.external_write_mode(file=file)
+
+
+def start_log(level: str | None) -> None:
+    """Send the library's log to standard error, every line with time and rank (no MPI calls but for the rank).
+
+    Args:
+        level: DEBUG, INFO, WARNING or ERROR; None for no log.
+    """
+    if level is None:
+        return
+    handler = _Stream()
+    line = f"%(asctime)s rank {_ranks().rank} %(levelname)s %(name)s: %(message)s"
+    handler.setFormatter(logging.Formatter(line))
+    handler.setLevel(level)
+    logger = logging.getLogger(LIBRARY)
+    logger.addHandler(handler)
+    logger.setLevel(level)
+
+
+class _Stream(logging.StreamHandler):
+    def emit(self, record: logging.LogRecord) -> None:
+        with beside_bars(sys.stderr):
+            super().emit(record)
+
+
+class _Bar(logging.Handler):
+    """Rows move the bar, everything else is written beside it."""
+
+    def __init__(self, bar: Any, name: str):
+        super().__init__(logging.INFO)
+        self.bar, self.name = bar, name
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = one_line(record.getMessage())
+        if hasattr(record, "row"):
+            row = vars(record)
+            self.bar.total, self.bar.n = row["rows"], row["row"] - 1
+            self.bar.bar_format = "{desc} |{bar:16}| {n_fmt}/{total_fmt} {postfix} [{elapsed}]"
+            self.bar.set_description_str(f"{self.name}: {text}", refresh=False)
+            text = ""
+        self.bar.set_postfix_str(text, refresh=False)
+        self.bar.update(0)  # draws at most every tenth of a second

@@ -116,14 +116,14 @@ def test_terms_add_up(name, monkeypatch):
 def test_derivatives():
     """The derivative of a quantity is the limit of its difference quotients, of order 2 in the step."""
     from fenicsx_obstacle.answers.solver_context import SolverContext
-    from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport
+    from fenicsx_obstacle.scenes.functionals import Report
 
     scene = Scene(mesh={"shape": "rectangle", "cells": 8}, tension="1 + x", load=8, boundary=[{"value": 0}],
                   report={"mean": "integral(u)/integral(1)", "drag": "sqrt(integral(slope^2*x)) + 2*mean",
                           "middle": "at(u^2, 0.4, 0.3)", "stress": "integral(flux*u)"})  # fmt: skip
     context = SolverContext(scene)
     answer = context.answer()
-    report = DifferentiableReport(context.problem.data, scene)
+    report = Report(context.problem.data, scene)
     level, zero = context.problem.level, np.zeros(context.problem.level.owned)
 
     def values(t):

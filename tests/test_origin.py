@@ -5,8 +5,8 @@ import sys
 import pytest
 
 from fenicsx_obstacle import InputError, checkout, origin
+from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.demo import run_demo
 from tests.conftest import COMM
 
 
@@ -35,12 +35,11 @@ def test_commands_of_an_installed_package(folder, monkeypatch, file, program):
     assert origin.command(2) == f"mpirun -n 2 {program} solve ball"
 
 
-def test_what_needs_a_clone(folder, monkeypatch):
+def test_what_needs_a_clone(folder, monkeypatch, capsys):
     """`theory` and `demo` say so before they begin; a folder demos/ beside the package is not that of the project."""
     monkeypatch.setattr(checkout, "ROOT", folder)
     on_root(COMM, (folder / "demos").mkdir)
-    said = []
-    for command in (lambda: checkout.add_tests("theory"), lambda: run_demo(folder, said.append)):
+    for command in ("theory", "demo"):
         with pytest.raises(InputError, match="runs in a clone"):
-            command()
-    assert not said
+            commands.main([command, "--output", str(folder / "out")], standalone_mode=False)
+    assert not capsys.readouterr().out

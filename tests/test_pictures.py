@@ -262,7 +262,7 @@ def test_a_body_has_its_pressure_on_the_pressed_face(half, monkeypatch):
     solve(scene).plot()
     ((arrays, (_, view)),) = found
     if half:
-        view = replace(view, lower=[0.5, 0.25, 0.0])
+        view = replace(view, lower=np.array([0.5, 0.25, 0.0]))
     plotter = Seen()
     render._add(plotter, render._grid(arrays, view), view)
     (pressure,), (body,) = plotter.with_look(scalars="pressure"), plotter.with_look(color=render.FREE)

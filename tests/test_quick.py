@@ -8,7 +8,6 @@ from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.parallel import largest
-from fenicsx_obstacle.show import demo as demo_module
 from fenicsx_obstacle.studies.convergence import Study
 from tests.conftest import COMM, DEMOS
 
@@ -63,14 +62,15 @@ def test_every_command(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("matplotlib_draws")
 def test_demo_on_few_cells(tmp_path, monkeypatch):
     """The command 'demo' with coarse meshes and short studies: four answers and three studies are saved."""
-    monkeypatch.setattr(demo_module, "solve", lambda scene: solve(scene, cells=8))
-    monkeypatch.setattr(demo_module, "report_answer", lambda answer, *_, **__: (answer, "no picture"))
+    monkeypatch.setattr("fenicsx_obstacle.answers.solve.solve", lambda file: solve(file, cells=8))
+    no_picture = lambda answer, *_, **__: (answer, "no picture")  # noqa: E731
+    monkeypatch.setattr("fenicsx_obstacle.show.report.report_answer", no_picture)
 
     def short_study(scene, vary, options):
         values = {key: given[:2] for key, given in vary.items()}
         return Study(scene, values, {**options, **({} if "cells" in vary else {"cells": 8})})
 
-    monkeypatch.setattr(demo_module, "Study", short_study)
+    monkeypatch.setattr("fenicsx_obstacle.studies.convergence.Study", short_study)
     done = CliRunner().invoke(commands, ["demo", "--output", str(tmp_path)], catch_exceptions=False)
     assert done.exit_code == 0
     assert len(list(tmp_path.rglob("answer.json"))) >= 4

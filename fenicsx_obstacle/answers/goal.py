@@ -28,7 +28,7 @@ from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.problems.summary import lookup
-from fenicsx_obstacle.scenes.report_derivatives import DifferentiableReport, check_differentiable
+from fenicsx_obstacle.scenes.functionals import Report, check_differentiable
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import nearest, of_outputs
 
@@ -200,7 +200,7 @@ class GoalAdaptation(Adaptation):
         if self._key.startswith("contact."):
             sign = 1.0 if self._key == "contact.lower.force" else -1.0
             return np.zeros(len(side)), np.where(side == sign, sign, 0.0)
-        report = DifferentiableReport(problem.data, self.scene)
+        report = Report(problem.data, self.scene)
         fields = {"u": answer.u, "p": answer.pressure, "contact": answer.contact}
         report.evaluate(fields, problem.elastic.array_r)
         per_force, D = np.zeros(len(side)), problem.weights

@@ -23,7 +23,7 @@ from fenicsx_obstacle.fields.scalar import Fields, with_gap
 from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.io.element import OWN_MESH, element_of, mesh_of, restored
 from fenicsx_obstacle.io.paraview import FRAMES, xdmf
-from fenicsx_obstacle.io.rows import Offsets, Place, Rows, fill, make_hdf5, mapped, places
+from fenicsx_obstacle.io.rows import Offsets, Rows, fill, make_hdf5, mapped
 from fenicsx_obstacle.io.validation import check_arrays, check_record
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import vector_pair
@@ -176,7 +176,7 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
         InputError: If it holds none, or a damaged one.
     """
 
-    def load() -> tuple[dict[str, Any], dict[str, Place | np.ndarray], tuple[Step, ...]]:
+    def load() -> tuple[dict[str, Any], tuple[Step, ...]]:
         if folder.is_file():
             raise InputError(f"{folder}: a file, not the folder of a saved answer")
         for name in (ANSWER, "fields.h5", *needed, "history.csv"):
@@ -188,21 +188,11 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
                     )
                 raise InputError(f"{folder}: holds no saved answer ({name} is missing)")
         record = _record(folder)
-        try:
-            found = places(folder / "fields.h5")
-        except (OSError, ValueError) as error:
-            raise InputError(f"{folder}: the saved answer is damaged: fields.h5: {error}") from None
-        needed_arrays = {"points", "cells", "gdim", "u", "pressure", "contact"}
-        if any(name.startswith("element/") for name in found):
-            needed_arrays |= {"element/cell", "element/cells"}
-        missing = needed_arrays - set(found)
-        if missing:
-            raise InputError(f"{folder}: the saved answer is damaged: fields.h5 has no {', '.join(sorted(missing))}")
-        steps = _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
-        return record, found, steps
+        return record, _steps(folder / (steps_in_time if "time" in record else "history.csv"), record)
 
-    record, found, steps = on_root(comm, load)
-    stored = mapped(folder / "fields.h5", found, comm)
+    record, steps = on_root(comm, load)
+    with agree(comm):
+        stored = _stored(folder / "fields.h5", comm.rank)
     arrays, element = _group(stored, ""), _group(stored, "element/")
     parts = _group(stored, "element/parts/" if element else "parts/")
     name = record["element"]
@@ -241,6 +231,26 @@ def read(folder: Path, comm: MPI.Comm, needed: tuple[str, ...] = (), steps_in_ti
     else:
         fields = Fields(level, **functions)
     return Saved(fields, steps, record, bound, {name: arrays[name] for name in ("points", "cells")})
+
+
+def _stored(file: Path, rank: int) -> dict[str, np.ndarray]:
+    """The arrays of fields.h5 (local)."""
+    try:
+        file.open("rb").close()
+    except OSError as error:
+        why = f"rank {rank} cannot read it: {error.strerror}; use a file system that all ranks share"
+        raise InputError(f"{file}: {why}") from None
+    try:
+        found = mapped(file)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file.parent}: the saved answer is damaged: fields.h5: {error}") from None
+    needed = {"points", "cells", "gdim", "u", "pressure", "contact"}
+    if any(name.startswith("element/") for name in found):
+        needed |= {"element/cell", "element/cells"}
+    if missing := needed - set(found):
+        words = f"fields.h5 has no {', '.join(sorted(missing))}"
+        raise InputError(f"{file.parent}: the saved answer is damaged: {words}")
+    return found
 
 
 def _group(arrays: Mapping[str, np.ndarray], group: str) -> Groups:

@@ -16,12 +16,10 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import datasets, opened
-from fenicsx_obstacle.parallel import agree, before, total
+from fenicsx_obstacle.parallel import before, total
 
 Offsets = dict[str, int]
-Place = tuple[str, int, tuple[int, ...]]  # dtype, first byte and shape of an array in a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,42 +124,16 @@ def fill(path: Path, rows: Mapping[str, Rows], offsets: Offsets) -> None:
             file.write(np.ascontiguousarray(array.mine).data)
 
 
-def places(path: Path) -> dict[str, Place | np.ndarray]:
-    """Where the arrays of an HDF5 file stand, by name; those that are no plain run of bytes themselves (one rank).
+def mapped(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an HDF5 file, by name; what is a plain run of bytes is read where one looks at it (local).
 
     Raises:
         OSError, ValueError: If it is no HDF5 file, or one that refers to others.
     """
-    found: dict[str, Place | np.ndarray] = {}
+    found: dict[str, np.ndarray] = {}
     with opened(path) as file:
         for name, one in datasets(file).items():
             offset = one.id.get_offset()
             plain = offset is not None and one.shape != ()
-            found[name] = (one.dtype.str, offset, one.shape) if plain else np.asarray(one[()])
-    return found
-
-
-def mapped(path: Path, known: Mapping[str, Place | np.ndarray], comm: MPI.Comm) -> dict[str, np.ndarray]:
-    """The arrays of a file, which each rank reads where it looks at them (collective).
-
-    Args:
-        path: Of the file, on a file system that all ranks share.
-        known: Of `places`, the same on every rank.
-        comm: The ranks.
-
-    Raises:
-        InputError: If a rank cannot read it.
-    """
-    found = dict[str, np.ndarray]()
-    with agree(comm):
-        try:
-            for name, one in known.items():
-                if isinstance(one, np.ndarray):
-                    found[name] = one
-                else:
-                    kind, offset, shape = one
-                    found[name] = np.memmap(path, kind, "r", offset, shape)
-        except OSError as error:
-            why = f"rank {comm.rank} cannot read it: {error.strerror}; use a file system that all ranks share"
-            raise InputError(f"{path}: {why}") from None
+            found[name] = np.memmap(path, one.dtype, "r", offset, one.shape) if plain else np.asarray(one[()])
     return found

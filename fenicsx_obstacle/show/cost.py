@@ -10,9 +10,9 @@ from typing import Any
 
 from fenicsx_obstacle.origin import command, versions
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.cost_plots import drawings
 from fenicsx_obstacle.show.figures import save
+from fenicsx_obstacle.show.report import PAGE, write_page
 from fenicsx_obstacle.show.study import Say
 from fenicsx_obstacle.show.tables import duration, megabytes
 from fenicsx_obstacle.studies import price
@@ -49,7 +49,7 @@ def report_cost(study: CostStudy, say: Say, *, fresh: bool = False) -> list[Row]
             say(line)
         store.write_table([row for row in rows if row["choice"] not in ("", "map")])
         names = on_root(study.comm, _draw, folder, study, rows)
-        say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', *names, page.NAME])}")
+        say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', *names, PAGE])}")
         return rows
 
 
@@ -102,8 +102,8 @@ def _draw(folder: Path, study: CostStudy, rows: Rows) -> list[str]:
     for name, figure in drawings(rows):
         drawn[name] = folder / f"{name}.png"
         save(figure, drawn[name])
-    page.write_page(
-        folder / page.NAME, "cost", study.full, versions(), command(study.comm.size), headline=headline(rows),
+    write_page(
+        folder / PAGE, "cost", study.full, versions(), command(study.comm.size), headline=headline(rows),
         study=study, drawn=drawn, tables=tables_of(rows), against=against(rows), ended=ended(rows, study),
     )  # fmt: skip
     return [file.name for file in drawn.values()]

@@ -1,16 +1,22 @@
-"""Fields over intervals and plane domains: obstacles, maps of the pressure with contour lines of u. One rank."""
+"""Fields over intervals and plane domains: obstacles, maps of the pressure and u, shares in a bound. One rank."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, rim
-from fenicsx_obstacle.show.figures import INK, over, power
+from fenicsx_obstacle.show.figures import BLUE, INK, figure, over, power, save
 
+if TYPE_CHECKING:
+    from fenicsx_obstacle.estimation.bound import Bound
+
+DECADES = 4  # of shares in a bound that are told apart
+MOST = 0.5  # of the bound
 OUT_OF_CONTACT = "#D9E7F4"  # what `render.FREE` looks like on white: outside of the domain the page stays white
 
 
@@ -126,3 +132,55 @@ def pressures(values: np.ndarray) -> Any:
         both = max(-low, high)
         return colours(-both, both, "PuOr_r")
     return colours(low, 0.0, "YlOrRd_r") if low < 0 else colours(0.0, high or 1.0, "YlOrRd")
+
+
+def draw_bound(indicator: np.ndarray, arrays: Mapping[str, np.ndarray], bound: Bound, path: Path) -> str:
+    """Draw the indicator of a bound into a file.
+
+    Args:
+        indicator: Of all cells.
+        arrays: The gathered answer.
+        bound: Its bound.
+        path: Of the picture.
+
+    Returns:
+        One line: the file, and how many cells carry most of the bound.
+    """
+    whole = indicator.sum()
+    shares = indicator / whole if whole > 0 else np.full(len(indicator), 1 / len(indicator))
+    count = np.searchsorted(np.sort(shares)[::-1].cumsum(), MOST) + 1
+    words = f"{count / len(shares):.1%} of the cells contribute half of the bound"
+    page, axes = figure(6.4, 5.2)
+    _draw_shares(page, axes, shares, arrays)
+    most = "at most" if bound.certified else "about"
+    axes.set_title(f"energy error {most} {bound.total:.3g}; {words}", fontsize=9)
+    save(page, path)
+    return f"{path}: {words}"
+
+
+def _draw_shares(page: Any, axes: Any, shares: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
+    """The share of each cell: over an interval as steps, in the plane in colours, of solids summed along y."""
+    from matplotlib.colors import LogNorm
+
+    cells, (x, y, z) = arrays["cells"], arrays["points"].T
+    low = shares.max() / 10**DECADES
+    if cells.shape[1] == 2:
+        order = np.argsort(x[cells].min(axis=1))
+        edges = np.append(x[cells[order]].min(axis=1), x.max())
+        axes.stairs(np.maximum(shares[order], low), edges, baseline=low, color=BLUE, fill=True)
+        axes.set(yscale="log", xlabel="x", ylabel="share of the cell in the bound", xlim=(edges[0], edges[-1]))
+        return
+    if cells.shape[1] == 3:
+        norm, label, up = LogNorm(low, shares.max(), clip=True), "share of the cell in the bound", "y"
+        drawn = axes.tripcolor(x, y, cells, facecolors=np.maximum(shares, low), norm=norm, cmap="viridis")
+    else:
+        across, height = (values[cells].mean(axis=1) for values in (x, z))
+        count = max(round((len(cells) / 6) ** (1 / 3)), 1)
+        ends = [(values.min(), values.max()) for values in (x, z)]
+        summed, left, below = np.histogram2d(across, height, bins=count, range=ends, weights=shares)
+        label, up = "share in the bound, summed along y", "z"
+        norm = LogNorm(summed.max() / 10**DECADES, summed.max(), clip=True)
+        drawn = axes.pcolormesh(left, below, summed.T, norm=norm, cmap="viridis")
+    axes.set(aspect="equal", xlabel="x", ylabel=up)
+    axes.margins(0)
+    page.colorbar(drawn, ax=axes, label=label)

@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +29,7 @@ CLEAR = 0.42  # opacity of u out of contact: a wall in front must not hide the c
 UPPER = 0.4  # opacity of an upper obstacle
 BESIDE = 1e-4  # of the widest side: distance of a cut from nodes, as cells are cut there into ones without area
 ABOVE_BODY = 3e-3  # the same: distance towards the eye of the pressure from the body that it presses
+GIVEN = "given.pickle"  # arrays and views, in the folder of a process
 _MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 _WORKER = [sys.executable, "-P", "-m", "fenicsx_obstacle.show.render"]
 
@@ -53,20 +53,20 @@ class View:
     shown: str
     colours: str
     limits: tuple[float, float]
-    lower: list[float]
-    upper: list[float]
-    scale: list[float]
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
     eye: tuple[float, float] = EYE
 
     @property
     def half(self) -> float:
         """Half the side of the picture, a square: the box fits into it from everywhere."""
-        return float(np.linalg.norm((np.array(self.upper) - self.lower) * self.scale)) / 2
+        return float(np.linalg.norm((self.upper - self.lower) * self.scale)) / 2
 
     @property
     def centre(self) -> np.ndarray:
         """Centre of the box, in the units of the data."""
-        return (np.array(self.lower) + self.upper) / 2
+        return (self.lower + self.upper) / 2
 
 
 def axes_of_view(eye: tuple[float, float]) -> np.ndarray:
@@ -92,10 +92,7 @@ def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[l
 
     with tempfile.TemporaryDirectory(prefix="obstacle-") as name:
         folder = Path(name)
-        packed = BytesIO()  # a ZipFile that cannot write says so once more when it goes
-        np.savez(packed, **arrays)
-        (folder / "arrays.npz").write_bytes(packed.getbuffer())
-        (folder / "views.json").write_text(json.dumps([asdict(view) for view in views]))
+        (folder / GIVEN).write_bytes(pickle.dumps((dict(arrays), list(views))))
         pictures = [folder / f"{number}.png" for number in range(len(views))]
         # VTK must not take itself for a rank of our MPI
         env = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
@@ -117,9 +114,8 @@ def draw(folder: Path) -> None:
     """Draw what `rendered` has written; runs in the process of its own."""
     import pyvista
 
-    arrays = dict(np.load(folder / "arrays.npz", allow_pickle=False))
-    for number, given in enumerate(json.loads((folder / "views.json").read_text())):
-        view = View(**given)
+    arrays, views = pickle.loads((folder / GIVEN).read_bytes())
+    for number, view in enumerate(views):
         plotter = pyvista.Plotter(off_screen=True, window_size=(PIXELS, PIXELS))
         plotter.enable_depth_peeling()
         _add(plotter, _grid(arrays, view), view)

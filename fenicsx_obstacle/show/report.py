@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -17,11 +19,15 @@ from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
 from fenicsx_obstacle.origin import program
 from fenicsx_obstacle.parallel import gathered, largest, on_root, peak_memory_mb, write_text
-from fenicsx_obstacle.show import page
+from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, gap, pressed, with_levels
+from fenicsx_obstacle.show.explain import explained
+from fenicsx_obstacle.show.template import filled
+from fenicsx_obstacle.text import title_of
 
-PICTURE = "answer.png"
-EARLIER = ("bound.png", "history.png", "answer.gif")  # where there is a bound, and a course in time
+PAGE, PICTURE = "report.html", "answer.png"
+BOUND = "bound.png"
+EARLIER = (BOUND, "history.png", "answer.gif")  # where there is a bound, and a course in time
 
 
 def report_answer(
@@ -55,12 +61,12 @@ def report_answer(
     if file is not None:
         said = answer.plot(file).said
         if answer.bound is not None and answer.bound.indicator is not None:  # which is not saved
-            from fenicsx_obstacle.show.indicator import NAME, draw_bound  # only where there is a bound
+            from fenicsx_obstacle.show.maps import draw_bound  # only where there is a bound
 
             indicator = gathered(comm, answer.bound.indicator)
-            words = on_root(comm, draw_bound, indicator, gather(answer.fields), answer.bound, folder / NAME)
+            words = on_root(comm, draw_bound, indicator, gather(answer.fields), answer.bound, folder / BOUND)
             said += f"\n  {words}"
-            others["Contribution of each cell to the bound"] = folder / NAME
+            others["Contribution of each cell to the bound"] = folder / BOUND
     else:
         said = f"{folder}: a network of intervals has no picture" if picture else f"{program()} plot {folder} draws it"
     if newton:
@@ -86,15 +92,31 @@ def report_answer(
         on_root(comm, write_record, folder, answer.record)
     record = answer.record
     on_root(comm, partial(
-        page.write_page, folder / page.NAME, "answer", answer.scene, record["versions"], record["command"],
+        write_page, folder / PAGE, "answer", answer.scene, record["versions"], record["command"],
         record=record, picture=file, time_history=moving, profiles=drawn, others=others,
     ))  # fmt: skip
     return answer, said
 
 
+def write_page(path: Path, kind: str, scene: Scene, versions: Mapping[str, str], command: str, **values: Any) -> None:
+    """Write the page of a result: one file, which fetches nothing, needs no JavaScript, and prints (one rank).
+
+    Args:
+        path: The file.
+        kind: `answer`, `study` or `cost`: its template.
+        scene: What was solved.
+        versions: Of the program and its libraries.
+        command: What made it.
+        **values: Further ones, which the template names.
+    """
+    title = title_of(scene.tables.title, scene.name)
+    write_text(path, filled(f"{kind}.html", title=title, scene=scene, explained=explained(scene), versions=versions,
+                            command=command, **values))  # fmt: skip
+
+
 def _remove_earlier(folder: Path) -> None:
     """Remove what an earlier answer has drawn: nothing of it is left where a new one is not drawn (one rank)."""
-    for name in (PICTURE, page.NAME, *EARLIER):
+    for name in (PICTURE, PAGE, *EARLIER):
         (folder / name).unlink(missing_ok=True)
     for table in folder.glob("profile-*.csv"):
         if table.with_suffix(".png").exists():  # which makes it one of a profile

@@ -61,8 +61,7 @@ def draw_views(
     if kind == "graph":
         scale[2] = HEIGHT / size[2]
     views = [
-        View(kind, name, shown.cmap.name, shown.get_clim(), lower.tolist(), upper.tolist(), scale.tolist(), eye)
-        for name, shown in scales.items()
+        View(kind, name, shown.cmap.name, shown.get_clim(), lower, upper, scale, eye) for name, shown in scales.items()
     ]
     pictures, who = render.rendered(arrays, views)
     if not pictures:
@@ -99,7 +98,7 @@ def _box(page: Any, place: Any, view: View, label: str) -> Any:
     with rc_context({"grid.color": "0.9", "grid.linewidth": 0.7}):
         axis = page.add_subplot(place, projection="3d", proj_type="ortho", azim=view.eye[0], elev=view.eye[1])
     axis.computed_zorder = False
-    axis.set_box_aspect((np.array(view.upper) - view.lower) * view.scale, zoom=ZOOM[view.kind])
+    axis.set_box_aspect((view.upper - view.lower) * view.scale, zoom=ZOOM[view.kind])
     limits = list(zip(view.lower, view.upper, strict=True))
     axis.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
     axes = (axis.xaxis, axis.yaxis, axis.zaxis)
@@ -128,7 +127,7 @@ def _put(axis: Any, view: View, picture: np.ndarray) -> None:
 
     middle = projected(view.centre)
     _, up, _ = render.axes_of_view(view.eye)
-    half = np.linalg.norm(projected(view.centre + up * view.half / np.array(view.scale)) - middle)
+    half = np.linalg.norm(projected(view.centre + up * view.half / view.scale) - middle)
     (left, bottom), (right, top) = middle - half, middle + half
     axis.imshow(picture, extent=(left, right, bottom, top), aspect="auto", zorder=3, interpolation="antialiased",
                 clip_on=False)  # fmt: skip

@@ -10,11 +10,10 @@ from textwrap import fill
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
-from fenicsx_obstacle.show import page
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.profiles import draw_rows
-from fenicsx_obstacle.show.report import PICTURE, has_picture
+from fenicsx_obstacle.show.report import PAGE, PICTURE, has_picture, write_page
 from fenicsx_obstacle.show.tables import StudyTable
 from fenicsx_obstacle.studies.convergence import Row, Study
 from fenicsx_obstacle.studies.find import Find
@@ -77,7 +76,7 @@ def _report(study: Study, store: RowStore, say: Say, latex: Path | None) -> list
             say(last.plot(folder / "last" / PICTURE).said)
         on_root(comm, write_text, folder / "last" / "row", rows[-1]["key"])
     drawn = on_root(comm, _draw_study, folder, study, rows, table)
-    say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', 'last/', *drawn, page.NAME])}")
+    say(f"saved in {folder}: {', '.join(['rows.csv', 'rows.jsonl', 'last/', *drawn, PAGE])}")
     return rows
 
 
@@ -98,8 +97,8 @@ def _draw_study(folder: Path, study: Study, rows: list[Row], table: StudyTable) 
         drawn[name] = folder / f"{name}.png"
         save(figure, drawn[name])
     drawn |= draw_rows(rows, study.vary, study.last.tables.u, folder)
-    page.write_page(
-        folder / page.NAME, "study", study.last, rows[-1]["versions"], command(study.comm.size), record=rows[-1],
+    write_page(
+        folder / PAGE, "study", study.last, rows[-1]["versions"], command(study.comm.size), record=rows[-1],
         table=table, drawn=drawn, picture=picture if picture.exists() else None,
     )  # fmt: skip
     return [file.name for file in drawn.values()]

@@ -7,8 +7,8 @@ import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tests.cli.broken.case import LIMIT, Broken, complaint, time_limit
 from tests.cli.broken.collection import collect, prepare
@@ -18,30 +18,11 @@ EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth
 AT_ONCE = {1: 2, 3: 1}
 PATIENCE = 12 * LIMIT  # seconds after which a process is ended
 
-
-@dataclass(frozen=True)
-class Tried:
-    """A case that was tried.
-
-    Attributes:
-        case: Which.
-        ranks: On how many.
-        alone: Whether in a process, or an mpirun, of its own.
-        said: What the user saw.
-        seconds: Time it took.
-        complaint: What was wrong with the refusal; None if it held.
-    """
-
-    case: Broken
-    ranks: int
-    alone: bool
-    said: str
-    seconds: float
-    complaint: str | None
+Row = dict[str, Any]
 
 
-def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3)) -> Iterator[Tried]:
-    """All cases on each number of ranks (one rank).
+def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3)) -> Iterator[Row]:
+    """All cases on each number of ranks, a row for each (one rank).
 
     Args:
         root: An empty folder.
@@ -57,12 +38,12 @@ def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3
             yield from (one.result() for one in started)
         within = [k for k, case in enumerate(cases) if not case.petsc]
         while within:
-            for tried, number in _within(root, cases, within, count, environment):
-                yield tried
+            for row, number in _within(root, cases, within, count, environment):
+                yield row
                 within = within[within.index(number) + 1 :]
 
 
-def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mapping[str, str]) -> Tried:
+def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mapping[str, str]) -> Row:
     folder = root / f"alone-{ranks}" / str(number)
     case.lay_out(folder)
     command = launch(ranks, "-m", "fenicsx_obstacle", *case.command())
@@ -75,12 +56,12 @@ def _alone(root: Path, case: Broken, number: int, ranks: int, environment: Mappi
     finally:
         end(process)
     seconds, limit = time.perf_counter() - began, time_limit(ranks * AT_ONCE[ranks] + 1)
-    return Tried(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder, limit))
+    return _row(case, ranks, True, said, seconds, complaint(case, status, said, seconds, folder, limit))
 
 
 def _within(
     root: Path, cases: Sequence[Broken], numbers: Sequence[int], ranks: int, environment: Mapping[str, str]
-) -> Iterator[tuple[Tried, int]]:
+) -> Iterator[tuple[Row, int]]:
     """Cases in one process, until one of them ends it."""
     command = launch_module(ranks, "tests.cli.broken.inside", str(root))
     started: int | None = numbers[0]
@@ -92,6 +73,13 @@ def _within(
         case, folder = cases[number], root / f"inside-{ranks}" / str(number)
         limit = time_limit(ranks + 1)
         wrong = complaint(case, record["status"], record["said"], record["seconds"], folder, limit)
-        yield Tried(case, ranks, False, record["said"], record["seconds"], wrong), number
+        yield _row(case, ranks, False, record["said"], record["seconds"], wrong), number
     if started is not None:
-        yield Tried(cases[started], ranks, False, "", PATIENCE, "took the process down, or did not end"), started
+        yield _row(cases[started], ranks, False, "", PATIENCE, "took the process down, or did not end"), started
+
+
+def _row(case: Broken, ranks: int, alone: bool, said: str, seconds: float, wrong: str | None) -> Row:
+    """A case that was tried: on how many ranks, whether in a process of its own, what the user saw, and what was wrong
+    with the refusal; None if it held."""
+    return {"case": case.name, "command": case.command(), "ranks": ranks, "alone": alone, "seconds": seconds,
+            "verdict": "held" if wrong is None else "FAILED", "message": said, "complaint": wrong}  # fmt: skip
