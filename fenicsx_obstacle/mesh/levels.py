@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 from math import factorial
 from typing import Any
 
@@ -18,7 +17,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.mesh import bisection, parents
-from fenicsx_obstacle.mesh.cells import cell_volumes, corners, own_cells
+from fenicsx_obstacle.mesh.cells import cell_volumes, corners, edge_lengths, own_cells
 from fenicsx_obstacle.mesh.checks import Components, check_mesh, components
 from fenicsx_obstacle.mesh.halving import Grid, halvings
 from fenicsx_obstacle.mesh.parents import Name
@@ -232,14 +231,8 @@ class Level:
     @cached_property
     def h_max(self) -> float:
         """Longest edge (first use is collective)."""
-        x, nodes = self.mesh.geometry.x[:, : self.mesh.geometry.dim], releases.geometry_dofs(self.mesh)
-        square = 0.0
-        for start in range(0, len(nodes), AT_ONCE):
-            corner = x[nodes[start : start + AT_ONCE]]
-            for i, j in combinations(range(nodes.shape[1]), 2):
-                edge = corner[:, i] - corner[:, j]
-                square = max(square, np.einsum("ij,ij->i", edge, edge).max())
-        return float(np.sqrt(largest(self.comm, square)))
+        parts = (slice(start, start + AT_ONCE) for start in range(0, own_cells(self.mesh), AT_ONCE))
+        return largest(self.comm, [edge_lengths(corners(self.mesh, part)).max() for part in parts])
 
     def indicator(self, name: str) -> np.ndarray:
         """Whether each local dof of W belongs to a cell of a named material, ghosts included (collective)."""
