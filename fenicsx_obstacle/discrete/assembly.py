@@ -397,18 +397,14 @@ class Nodal(Affine, Forms):
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         if all(effect.order == 0 for effect in self.effects):
-            value = self._energy_at_zero() + self.work()
+            value = total(self.comm, sum(map(fem.assemble_scalar, self._energies_at_zero))) + self.work()
         else:
             value = Forms.energy(self, penalised=False, moving=moving)
         return value + (self.penalty_energy() if penalised else 0.0)
 
-    def _energy_at_zero(self) -> float:
-        """The energy of u = 0, of supports that are at rest elsewhere."""
-        return total(self.data.level.comm, sum(fem.assemble_scalar(form) for form in self._energies_at_zero))
-
     @cached_property
     def _energies_at_zero(self) -> list[Any]:
-        """Energies of the effects at u = 0, where they are not 0 as written."""
+        """Energies of the effects at u = 0 where they are not 0 as written, as those of supports at rest elsewhere."""
         zero = self._zero()
         nothing = {zero: ufl.constantvalue.Zero(zero.ufl_shape)}
         parts = [ufl.replace(expand_derivatives(part), nothing) for _, part in self._energies_of(zero)]

@@ -178,9 +178,10 @@ class Level:
 
     @cached_property
     def node_of(self) -> np.ndarray:
-        """The node of V of each local dof of Q, where functions are vector-valued."""
+        """The node of V at each local dof of Q; of a cell those in the middles of edges are the last ones."""
+        dofs = releases.cell_dofs(self.Q)
         found = np.arange(self.Q.dofmap.index_map.size_local + self.Q.dofmap.index_map.num_ghosts)
-        found[releases.cell_dofs(self.Q)] = releases.cell_dofs(self.V)
+        found[dofs] = releases.cell_dofs(self.V)[:, -dofs.shape[1] :]
         return found
 
     def of_components(self, components: Sequence[fem.Function]) -> fem.Function:
