@@ -6,22 +6,21 @@ A soft value in a cell that is partly hard is the worst, its error is not bounde
 
 from __future__ import annotations
 
-from itertools import product
-
+import basix
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.samples import Samples
 from fenicsx_obstacle.effects.field import Field
-from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.cells import corners
+from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import agree
 
 JUMP = 1.1  # ratio of values in a cell: a datum that varies less counts as smooth
 STEEP = 3.0  # of quadratics: positive values up to 4 on triangles, 4.5 on squares, 3.09 on cubes make them positive
 INSET = 1e-6  # of the way to the middle: on the boundary of a cell the datum may be that of its neighbour
-PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension
+PARTS = {1: 64, 2: 8, 3: 4}  # of an edge, by dimension: powers of 2, so that coordinates are exact
 
 
 def average(data: Samples, tension: Field, made: fem.Function) -> None:
@@ -39,7 +38,7 @@ def average(data: Samples, tension: Field, made: fem.Function) -> None:
         steep = at_dofs.max(axis=1, initial=0.0) > limit * at_dofs.min(axis=1, initial=np.inf)
         made.x.array[dofs[steep]] = at_dofs[steep].mean(axis=1)[:, None]
         return
-    places, weights = _lattice(releases.cell_name(data.level.mesh), x.shape[1])
+    places, weights = _lattice(Reference(data.level.mesh))
     places = (1 - INSET) * places + INSET / x.shape[1]
     ends = (1 - INSET) * x + INSET * x.mean(axis=1, keepdims=True)
     with agree(data.level.comm):
@@ -77,26 +76,18 @@ def _values(data: Samples, datum: Field, points: np.ndarray, cells: np.ndarray) 
     return data.at(datum, points.reshape(-1, 3).T, np.repeat(cells, points.shape[1])).reshape(points.shape[:2])
 
 
-def _lattice(cell: str, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+def _lattice(reference: Reference) -> tuple[np.ndarray, np.ndarray]:
     """Weights of the vertices at points of a lattice, shape (points, vertices), and of these points in a mean.
 
     It is the vertex rule on equal parts of the cell, in tetrahedra nearly: a point has weight where it belongs to many
     parts, but those at the vertices of the cell have some too, so that no line or plane that cuts the cell is missed.
     """
-    if cell in SIMPLICES:
-        dim = vertices - 1
-        steps = range(PARTS[dim] + 1)
-        points = np.array([p for p in product(steps, repeat=vertices) if sum(p) == PARTS[dim]], dtype=float)
-        on_faces = (points == 0).sum(axis=1)
+    dim = reference.dim
+    points = basix.create_lattice(reference.kind, PARTS[dim], basix.LatticeType.equispaced, True)
+    places = reference.weights(points)
+    if reference.simplex:
         share = {1: (1, 1 / 2), 2: (1, 1 / 2, 1 / 6), 3: (1, 1 / 2, 5 / 24, 1 / 24)}[dim]
-        weights = np.array(share)[on_faces]
-        return points / PARTS[dim], weights / weights.sum()
-    dim = int(np.log2(vertices))
-    t = np.linspace(0, 1, PARTS[dim] + 1)
-    along = np.where((t == 0) | (t == 1), 0.5, 1.0)
-    axes, shares = np.array(list(product(t, repeat=dim))), np.array(list(product(along, repeat=dim)))
-    # vertices are counted along the first axis first
-    ends = np.array(list(product((0, 1), repeat=dim)))[:, ::-1]
-    places = np.prod(np.where(ends[None] == 1, axes[:, None], 1 - axes[:, None]), axis=2)
-    weights = shares.prod(axis=1)
+        weights = np.array(share)[(places == 0).sum(axis=1)]
+    else:
+        weights = 0.5 ** ((points == 0) | (points == 1)).sum(axis=1)
     return places, weights / weights.sum()

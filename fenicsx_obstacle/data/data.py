@@ -134,8 +134,8 @@ class Data(Samples):
             self._heights[field] = self.follow([field], partial(self.nodal, field))
         return self._heights[field]
 
-    def number(self, value: float) -> fem.Constant:
-        """A number that is not compiled into forms."""
+    def number(self, value: float | np.ndarray) -> fem.Constant:
+        """A number, or a vector, that is not compiled into forms."""
         return fem.Constant(self.level.mesh, PETSc.ScalarType(value))
 
     def field(self, components: tuple[Field, ...]) -> ufl.core.expr.Expr:

@@ -113,14 +113,6 @@ class Motion:
         """u_t."""
         return self._first * u - self.past
 
-    def rate_energy(self, u: Any) -> Any:
-        """The functional whose derivative is `rate`."""
-        return 0.5 * self._first * u**2 - self.past * u
-
     def acceleration(self, u: Any) -> Any:
         """u_tt."""
         return self._second * u - self.past_twice
-
-    def acceleration_energy(self, u: Any) -> Any:
-        """The functional whose derivative is `acceleration`."""
-        return 0.5 * self._second * u**2 - self.past_twice * u

@@ -36,25 +36,23 @@ ROUND_OFF = 1e-12  # of the sum of the forces
 
 
 class FunctionState(State):
-    """A state whose arrays are the owned values of Functions, for forms (all methods collective)."""
+    """A state whose w, r and multiplier are the owned values of Functions, for forms (all methods collective)."""
 
     def __init__(
         self,
         w: fem.Function,
         r: fem.Function,
-        below: fem.Function | None,
-        above: fem.Function | None,
         multiplier: fem.Function | None,
         eps: fem.Constant,
+        *,
+        lower: bool,
+        upper: bool,
     ):
-        """Refer to Functions and a Constant, as in `Forms`."""
+        """Refer to Functions and a Constant, as in `Forms`; whether there is a lower and an upper obstacle."""
+        super().__init__(releases.vec(w), releases.vec(r), lower=lower, upper=upper)
         self._w, self._constant = w, eps
-        self._shared = [function for function in (w, r, below, above, multiplier) if function is not None]
-        self.w_vector, self.r_vector = releases.vec(w), releases.vec(r)
-        self.w, self.r = _owned(w), _owned(r)
-        self.below, self.above, self.multiplier = (
-            None if function is None else _owned(function) for function in (below, above, multiplier)
-        )
+        self._shared = [function for function in (w, r, multiplier) if function is not None]
+        self.multiplier = None if multiplier is None else _owned(multiplier)
 
     @property
     def eps(self) -> float:
@@ -110,30 +108,27 @@ class Forms:
     Attributes:
         w: The unknown.
         reference: r; u = w + r.
-        below: Distance of the lower obstacle from r, or None.
-        above: Distance of the upper obstacle from r, or None.
         eps: Penalty parameter.
         measure: Where contact can be: the domain, or parts of its boundary.
         thickness: What makes weights on the boundary areas: its length times it is one; 1 in the domain.
         forces: Forces at owned nodes that are in no form, or None.
         impulse: Such forces of the beginning of a step in time, or None.
         multiplier: p_k of the augmented obstacle g + eps p_k, where the points of I are no nodes; else None.
-        state: The owned values of these Functions.
+        state: The owned values of w, r and p_k, and the gaps.
     """
 
     def __init__(self, effects: Sequence[Effect], data: Data):
         self.effects, self.data = effects, data
         V = data.level.V
         self.w, self.reference = fem.Function(V, name="w"), fem.Function(V, name="r")
-        self.below = fem.Function(V) if data.lower is not None else None
-        self.above = fem.Function(V) if data.upper is not None else None
         self.eps = fem.Constant(data.level.mesh, PETSc.ScalarType(1.0))
         pair = data.level.pair
         self.v = ufl.TestFunction(V)
         self.thickness = 1.0
         self._set_contact_measure()
         self.multiplier = None if pair.nodal else fem.Function(data.level.Q)
-        self.state: State = FunctionState(self.w, self.reference, self.below, self.above, self.multiplier, self.eps)
+        sides = {"lower": data.lower is not None, "upper": data.upper is not None}
+        self.state: State = FunctionState(self.w, self.reference, self.multiplier, self.eps, **sides)
         given = [effect for effect in effects if effect.role == "point forces"]
         table = f"{data.model.source}: [effects]"
         vectors = [spread(data.level, cast(Any, effect.value), f"{table} {effect.key}") for effect in given]
@@ -192,12 +187,13 @@ class Forms:
     def set_reference(self) -> None:
         """Called when r has changed."""
         for side, finite in self._finite.items():
-            finite.x.array[:] = np.clip(getattr(self, side).x.array, -FAR, FAR)
+            _owned(finite)[:] = np.clip(getattr(self.state, side), -FAR, FAR)
+            finite.x.scatter_forward()
 
     @cached_property
     def _finite(self) -> dict[str, fem.Function]:
         """The distances of the obstacles from r in the forms, where 0 times infinity must not occur."""
-        sides = [side for side in ("below", "above") if getattr(self, side) is not None]
+        sides = [side for side in ("below", "above") if getattr(self.state, side) is not None]
         return {side: fem.Function(self.data.level.V) for side in sides}
 
     def elastic(self, out: PETSc.Vec) -> None:
@@ -208,15 +204,9 @@ class Forms:
 
     def row_sums(self) -> np.ndarray:
         """The derivative of a(u, .) times u = 1 at owned dofs, without what belongs to a step in time."""
-        A = fem.petsc.assemble_matrix(releases.form(ufl.derivative(self._at_rest, self.w)))
-        A.assemble()
-        one, sums = A.createVecs()
-        one.set(1.0)
-        A.mult(one, sums)
-        found = sums.array.copy()
-        for owner in (A, one, sums):
-            owner.destroy()
-        return found
+        one = fem.Function(self.w.function_space)
+        one.x.array[:] = 1.0
+        return _owned(assembled(ufl.derivative(self._at_rest, self.w, one), one.function_space)).copy()
 
     def _given(self, *, moving: bool = True) -> list[np.ndarray]:
         """The forces that are in no form."""
@@ -407,18 +397,14 @@ class Nodal(Affine, Forms):
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         if all(effect.order == 0 for effect in self.effects):
-            value = self._energy_at_zero() + self.work()
+            value = total(self.comm, sum(map(fem.assemble_scalar, self._energies_at_zero))) + self.work()
         else:
             value = Forms.energy(self, penalised=False, moving=moving)
         return value + (self.penalty_energy() if penalised else 0.0)
 
-    def _energy_at_zero(self) -> float:
-        """The energy of u = 0, of supports that are at rest elsewhere."""
-        return total(self.data.level.comm, sum(fem.assemble_scalar(form) for form in self._energies_at_zero))
-
     @cached_property
     def _energies_at_zero(self) -> list[Any]:
-        """Energies of the effects at u = 0, where they are not 0 as written."""
+        """Energies of the effects at u = 0 where they are not 0 as written, as those of supports at rest elsewhere."""
         zero = self._zero()
         nothing = {zero: ufl.constantvalue.Zero(zero.ufl_shape)}
         parts = [ufl.replace(expand_derivatives(part), nothing) for _, part in self._energies_of(zero)]

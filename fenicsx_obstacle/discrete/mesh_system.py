@@ -91,12 +91,11 @@ class MeshSystem(System):
         level, q = self.level, fem.Function(self.level.Q)
         if level.Q is level.V or not level.pair.nodal:
             q.x.array[: len(values)] = values
-        else:  # midpoints of edges: the dofs of V_h there follow those of the vertices
+        else:
             everywhere = fem.Function(level.V)
             everywhere.x.array[: len(values)] = values
             everywhere.x.scatter_forward()
-            middles = releases.cell_dofs(level.V)[:, -releases.cell_dofs(level.Q).shape[1] :]
-            q.x.array[releases.cell_dofs(level.Q).ravel()] = everywhere.x.array[middles.ravel()]
+            q.x.array[:] = everywhere.x.array[level.node_of]
         q.x.scatter_forward()
         return q
 
@@ -105,10 +104,9 @@ class MeshSystem(System):
         level = self.level
         if level.Q is level.V or not level.pair.nodal:
             return q.x.array[: len(self.weights)].copy()
-        everywhere = np.zeros(level.V.dofmap.index_map.size_local + level.V.dofmap.index_map.num_ghosts)
-        middles = releases.cell_dofs(level.V)[:, -releases.cell_dofs(level.Q).shape[1] :]
-        everywhere[middles.ravel()] = q.x.array[releases.cell_dofs(level.Q).ravel()]
-        return everywhere[: self.owned]
+        everywhere = fem.Function(level.V)
+        everywhere.x.array[level.node_of] = q.x.array
+        return everywhere.x.array[: self.owned].copy()
 
     def pressures(self, p: np.ndarray) -> fem.Function:
         """The same of pressures, whose Q_h may have more nodes (collective)."""

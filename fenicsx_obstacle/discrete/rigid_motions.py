@@ -270,19 +270,11 @@ def _aligned(rows: np.ndarray, first: int = 0) -> np.ndarray:
         rows: Independent ones from the column `first` on.
         first: The first of the columns to look at.
     """
-    rows, done = rows.copy(), 0
+    columns, least = list[int](), SAME * np.abs(rows).max(initial=0.0)
     for column in range(first, rows.shape[1]):
-        if done == len(rows):
-            break
-        pivot = done + int(np.argmax(np.abs(rows[done:, column])))
-        if abs(rows[pivot, column]) <= SAME * np.abs(rows).max():
-            continue
-        rows[[done, pivot]] = rows[[pivot, done]]
-        rows[done] /= rows[done, column]
-        others = np.arange(len(rows)) != done
-        rows[others] -= rows[others, column : column + 1] * rows[done]
-        done += 1
-    return rows
+        if np.linalg.matrix_rank(rows[:, [*columns, column]], tol=least) > len(columns):
+            columns.append(column)
+    return np.linalg.pinv(rows[:, columns]) @ rows
 
 
 def _direction(vector: np.ndarray) -> str:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from mpi4py import MPI
 
+from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.effects.effect import is_support
@@ -52,7 +53,7 @@ def check_support(problem: MeshSystem) -> None:
     soft = problem.soft_obstacles()
     rest, shift = _between(comm, soft)
     at_rest = problem.law.forces_at(rest)
-    scale = sums(_diagonal(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
+    scale = sums(diagonal_of(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
     moved = problem.law.forces_at(rest + shift) - at_rest
     held = sums(moved) / shift
     holds = held > scale
@@ -145,16 +146,6 @@ def _refuse(
             f"tension, so that round-off would determine u; {PRESCRIBE}, or use a stiffer support"
         )
     raise InputError(f"{source}{where}, and no obstacle supports it: {PRESCRIBE}")
-
-
-def _diagonal(problem: MeshSystem) -> np.ndarray:
-    """The diagonal of the stiffness at u = 0 (collective)."""
-    state = problem.vector()
-    diagonal = problem.jacobian(state, penalised=False).getDiagonal()
-    values = diagonal.array_r.copy()
-    for vector in (state, diagonal):
-        vector.destroy()
-    return values
 
 
 def _reached(problem: MeshSystem, obstacle: np.ndarray | float, sums: Sums) -> np.ndarray:

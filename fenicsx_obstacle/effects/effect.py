@@ -66,8 +66,8 @@ class Sampler(Protocol):
     def cellwise(self, value: Field, *, positive: bool = False, least: float | None = None) -> Any:
         """Function with one value per cell, or for quadratic elements one per node of each cell, or a Constant."""
 
-    def number(self, value: float) -> Any:
-        """A number that is not compiled into forms."""
+    def number(self, value: float | np.ndarray) -> Any:
+        """A number, or a vector, that is not compiled into forms."""
 
     def field(self, components: tuple[Field, ...]) -> Any:
         """Vector with one value per cell."""
@@ -147,7 +147,7 @@ class Effect:
         """
         return cls(reader.value(raw, place), **more)
 
-    def terms(self, u: ufl.core.expr.Expr, v: ufl.Argument, data: Sampler) -> ufl.Form | None:
+    def terms(self, u: ufl.core.expr.Expr, v: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
         """Its part of the residual a(u, v) - f(v), as far as it is a form."""
         return None
 
@@ -156,8 +156,12 @@ class Effect:
         return None
 
     def energy(self, u: ufl.core.expr.Expr, data: Sampler) -> ufl.Form | None:
-        """The energy whose derivative is `terms`, or None."""
-        return None
+        """The energy whose derivative is `terms`, or None; that of a symmetric affine term by itself."""
+        at_u = self.terms(u, u, data) if self.affine and self.symmetric else None
+        if at_u is None:
+            return None
+        # terms(u, v) = a(u, v) - f(v), so that a(u, u)/2 - f(u) = (terms(u, u) + terms(0, u))/2
+        return 0.5 * (at_u + self.terms(data.number(np.zeros(u.ufl_shape)), u, data))
 
     def conflict(self, effects: Sequence[Effect]) -> str | None:
         """A message if it cannot be combined with the other effects of a scene; otherwise None."""

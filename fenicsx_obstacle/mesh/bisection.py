@@ -27,17 +27,14 @@ from fenicsx_obstacle.polynomials import EDGES
 ALIKE = 1e-9  # relative difference of lengths that are the same
 # edges of the faces of a cell
 _FACES: dict[int, list[tuple[int, ...]]] = {1: [(0,)], 2: [(0, 1, 2)], 3: [(0, 1, 2), (0, 3, 4), (1, 3, 5), (2, 4, 5)]}
-# children of a cell with vertices and, after them, middles of edges, by the edges that are marked. A triangle is turned
-# so that its first edge, opposite to vertex 0, is the longest one
-_CHILDREN: dict[int, dict[tuple[bool, ...], list[tuple[int, ...]]]] = {
-    1: {(False,): [(0, 1)], (True,): [(0, 2), (2, 1)]},
-    2: {
-        (False, False, False): [(0, 1, 2)],
-        (True, False, False): [(0, 1, 3), (0, 3, 2)],
-        (True, False, True): [(5, 1, 3), (0, 5, 3), (0, 3, 2)],
-        (True, True, False): [(0, 1, 3), (0, 3, 4), (4, 3, 2)],
-        (True, True, True): [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)],
-    },
+# children of a triangle with vertices and, after them, middles of edges, by the edges that are marked. It is turned so
+# that its first edge, opposite to vertex 0, is the longest one
+_CHILDREN: dict[tuple[bool, ...], list[tuple[int, ...]]] = {
+    (False, False, False): [(0, 1, 2)],
+    (True, False, False): [(0, 1, 3), (0, 3, 2)],
+    (True, False, True): [(5, 1, 3), (0, 5, 3), (0, 3, 2)],
+    (True, True, False): [(0, 1, 3), (0, 3, 4), (4, 3, 2)],
+    (True, True, True): [(0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5)],
 }
 
 
@@ -77,7 +74,7 @@ def refined_where(V: fem.FunctionSpace, marked: np.ndarray) -> tuple[dmesh.Mesh,
     middle[halves] = corner[:, sides].mean(axis=2)
     points = np.vstack([points_of_nodes(V)[:count, :gdim], middle[: edges.size_local][mine]])
     chosen = np.where(marks[halves[:own]], order[halves[:own]], -1)
-    parents, places = _bisected(chosen) if dim == 3 else _cut(order[halves[:own]], chosen >= 0)
+    parents, places = _cut(order[halves[:own]], chosen >= 0) if dim == 2 else _bisected(chosen, dim)
     new = releases.create_mesh(comm, number[parents[:, None], places], points, releases.cell_name(mesh), stay=True)
     rows = given_cells(new) - before(comm, len(parents))
     return new, parents[rows].astype(np.int32), places[rows].astype(np.int8)
@@ -116,20 +113,21 @@ def _by_length(mesh: dmesh.Mesh, halves: np.ndarray, count: int) -> np.ndarray:
     return order
 
 
-def _bisected(order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parents of all children of tetrahedra, and the places of their corners in them.
+def _bisected(order: np.ndarray, dim: int) -> tuple[np.ndarray, np.ndarray]:
+    """Parents of all children of intervals or tetrahedra, and the places of their corners in them.
 
     Args:
-        order: Of edges by length where they are marked, otherwise -1, shape (cells, 6).
+        order: Of edges by length where they are marked, otherwise -1, shape (cells, edges).
+        dim: Of the cells.
     """
-    sides, edge = np.array(EDGES[3]), np.zeros((4, 4), dtype=np.int64)
-    for number, (i, j) in enumerate(EDGES[3]):
+    sides, edge = np.array(EDGES[dim]), np.zeros((dim + 1, dim + 1), dtype=np.int64)
+    for number, (i, j) in enumerate(EDGES[dim]):
         edge[i, j] = edge[j, i] = number
-    parents, places = np.arange(len(order)), np.tile(np.arange(4), (len(order), 1))
+    parents, places = np.arange(len(order)), np.tile(np.arange(dim + 1), (len(order), 1))
     done = []
     while len(parents):
         ends = places[:, sides]
-        whole, number = ends.max(axis=2) < 4, edge[tuple(np.minimum(ends, 3).transpose(2, 0, 1))]
+        whole, number = ends.max(axis=2) <= dim, edge[tuple(np.minimum(ends, dim).transpose(2, 0, 1))]
         here = np.where(whole, order[parents[:, None], number], -1)
         first = here.argmax(axis=1)
         cut = np.flatnonzero(here.max(axis=1) >= 0)
@@ -137,7 +135,7 @@ def _bisected(order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         done.append((parents[kept], places[kept]))
         halves = np.repeat(places[cut], 2, axis=0)
         for k in range(2):  # the middle in place of one end
-            halves[np.arange(k, len(halves), 2), sides[first[cut], k]] = 4 + number[cut, first[cut]]
+            halves[np.arange(k, len(halves), 2), sides[first[cut], k]] = dim + 1 + number[cut, first[cut]]
         parents, places = np.repeat(parents[cut], 2), halves
     all_parents = np.concatenate([order[:0, 0], *(part[0] for part in done)])
     all_places = np.concatenate([places[:0], *(part[1] for part in done)])
@@ -146,22 +144,16 @@ def _bisected(order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _cut(order: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Parents of all children of intervals or triangles, and the places of their corners in them.
+    """Parents of all children of triangles, and the places of their corners in them.
 
     Args:
-        order: Of edges by length, shape (cells, edges).
+        order: Of edges by length, shape (cells, 3).
         pattern: Whether they are marked.
     """
-    dim = 1 if pattern.shape[1] == 1 else 2
-    turn = (
-        (order.argmax(axis=1)[:, None] + np.arange(dim + 1)) % (dim + 1)
-        if dim == 2
-        else np.tile([0, 1], (len(order), 1))
-    )
-    turned = np.hstack([turn, dim + 1 + (turn if dim == 2 else turn[:, :1])])
-    pattern = np.take_along_axis(pattern, turned[:, dim + 1 :] - dim - 1, axis=1)
-    parents, places = [np.empty(0, dtype=np.int64)], [np.empty((0, dim + 1), dtype=np.int64)]
-    for marked, pieces in _CHILDREN[dim].items():
+    turn = (order.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    turned, pattern = np.hstack([turn, 3 + turn]), np.take_along_axis(pattern, turn, axis=1)
+    parents, places = list[np.ndarray](), list[np.ndarray]()
+    for marked, pieces in _CHILDREN.items():
         cells = np.flatnonzero((pattern == marked).all(axis=1))
         for piece in pieces:
             parents.append(cells)

@@ -130,9 +130,9 @@ def halvings(V: fem.FunctionSpace, times: int, shape: Shape | None = None) -> li
     grid, edges = _of_space(V)
     found = list[Grid]()
     for remaining in reversed(range(times)):
-        finer, places = _halved(grid, edges, shape)
+        finer, vertex, middle = _halved(grid, edges, shape)
         if remaining:
-            edges = _halved_edges(grid, edges, places, finer)
+            edges = _halved_edges(grid, edges, vertex, middle, finer)
         grid = finer
         found.append(grid)
     return found
@@ -160,21 +160,8 @@ def _sorted(ends: np.ndarray, number: Numbers) -> np.ndarray:
     return ends
 
 
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Local numbers after a halving.
-
-    Attributes:
-        vertex: Of each vertex of the coarser grid.
-        middle: Of the middle of each of its edges.
-    """
-
-    vertex: np.ndarray
-    middle: np.ndarray
-
-
-def _halved(grid: Grid, edges: Edges, shape: Shape | None) -> tuple[Grid, _Places]:
-    """The grid with all edges halved (collective)."""
+def _halved(grid: Grid, edges: Edges, shape: Shape | None) -> tuple[Grid, np.ndarray, np.ndarray]:
+    """The grid with all edges halved, and its numbers of the vertices and of the middles of the edges (collective)."""
     dim, own, own_edges = grid.dim, grid.number.owned, edges.number.owned
     # the owned vertices, the middles of the owned edges, and the ghosts of both
     vertex, middle = (np.arange(len(some), dtype=np.int32) for some in (grid.points, edges.ends))
@@ -187,7 +174,7 @@ def _halved(grid: Grid, edges: Edges, shape: Shape | None) -> tuple[Grid, _Place
     number.values[middle] = edges.number.moved(number.first + grid.number.per_rank)
     nodes, choices = np.hstack([vertex[grid.cells], middle[edges.of_cells]]), CHILDREN[dim]
     place = _by_appearance(nodes, number)
-    nodes, places = place[nodes], _Places(place[vertex], place[middle])
+    nodes, vertex, middle = place[nodes], place[vertex], place[middle]
     if len(choices) == 1:
         cells, corners = np.empty((len(nodes), choices[0].size), dtype=np.int32), np.tile(choices[0], (len(nodes), 1))
         for column, node in enumerate(choices[0].ravel()):
@@ -201,10 +188,10 @@ def _halved(grid: Grid, edges: Edges, shape: Shape | None) -> tuple[Grid, _Place
         outer = shape.on_curve(grid.points)[edges.ends].all(axis=1)  # of no cell all vertices are on the curve
         middles[outer] = shape.project(middles[outer])
     points, ends = np.empty((len(place), grid.points.shape[1])), np.empty((len(place), 2), dtype=np.int32)
-    points[places.vertex], points[places.middle] = grid.points, middles
-    ends[places.vertex], ends[places.middle] = np.arange(len(vertex), dtype=np.int32)[:, None], edges.ends
+    points[vertex], points[middle] = grid.points, middles
+    ends[vertex], ends[middle] = np.arange(len(vertex), dtype=np.int32)[:, None], edges.ends
     number = _renumbered(grid.comm, number, place)
-    return Grid(grid.comm, points, cells.reshape(-1, dim + 1), number, corners, ends), places
+    return Grid(grid.comm, points, cells.reshape(-1, dim + 1), number, corners, ends), vertex, middle
 
 
 def _by_appearance(nodes: np.ndarray, number: Numbers) -> np.ndarray:
@@ -231,10 +218,10 @@ def _renumbered(comm: MPI.Comm, number: Numbers, place: np.ndarray) -> Numbers:
     return Numbers(np.concatenate([first + np.arange(own), away]), number.per_rank, number.rank)
 
 
-def _halved_edges(grid: Grid, edges: Edges, places: _Places, finer: Grid) -> Edges:
+def _halved_edges(grid: Grid, edges: Edges, vertex: np.ndarray, middle: np.ndarray, finer: Grid) -> Edges:
     """The edges of the finer grid, of intervals or triangles: halves of owned edges, edges within owned cells, and
     halves of ghosts."""
-    dim, vertex, middle, number = grid.dim, places.vertex, places.middle, edges.number
+    dim, number = grid.dim, edges.number
     within, own, cells = len(_WITHIN[dim]), number.owned, len(grid.cells)
     half = 2 * np.arange(len(edges.ends), dtype=np.int32)  # the first one of each edge
     half[own:] += within * cells

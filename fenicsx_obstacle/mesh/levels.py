@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 from math import factorial
 from typing import Any
 
@@ -18,7 +17,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.mesh import bisection, parents
-from fenicsx_obstacle.mesh.cells import cell_volumes, corners, own_cells
+from fenicsx_obstacle.mesh.cells import cell_volumes, corners, edge_lengths, own_cells
 from fenicsx_obstacle.mesh.checks import Components, check_mesh, components
 from fenicsx_obstacle.mesh.halving import Grid, halvings
 from fenicsx_obstacle.mesh.parents import Name
@@ -179,9 +178,10 @@ class Level:
 
     @cached_property
     def node_of(self) -> np.ndarray:
-        """The node of V of each local dof of Q, where functions are vector-valued."""
+        """The node of V at each local dof of Q; of a cell those in the middles of edges are the last ones."""
+        dofs = releases.cell_dofs(self.Q)
         found = np.arange(self.Q.dofmap.index_map.size_local + self.Q.dofmap.index_map.num_ghosts)
-        found[releases.cell_dofs(self.Q)] = releases.cell_dofs(self.V)
+        found[dofs] = releases.cell_dofs(self.V)[:, -dofs.shape[1] :]
         return found
 
     def of_components(self, components: Sequence[fem.Function]) -> fem.Function:
@@ -232,14 +232,8 @@ class Level:
     @cached_property
     def h_max(self) -> float:
         """Longest edge (first use is collective)."""
-        x, nodes = self.mesh.geometry.x[:, : self.mesh.geometry.dim], releases.geometry_dofs(self.mesh)
-        square = 0.0
-        for start in range(0, len(nodes), AT_ONCE):
-            corner = x[nodes[start : start + AT_ONCE]]
-            for i, j in combinations(range(nodes.shape[1]), 2):
-                edge = corner[:, i] - corner[:, j]
-                square = max(square, np.einsum("ij,ij->i", edge, edge).max())
-        return float(np.sqrt(largest(self.comm, square)))
+        parts = (slice(start, start + AT_ONCE) for start in range(0, own_cells(self.mesh), AT_ONCE))
+        return largest(self.comm, [edge_lengths(corners(self.mesh, part)).max() for part in parts])
 
     def indicator(self, name: str) -> np.ndarray:
         """Whether each local dof of W belongs to a cell of a named material, ghosts included (collective)."""

@@ -73,8 +73,7 @@ def nearby(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.nda
 
 
 def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], place: str) -> np.ndarray:
-    """Forces at points as forces at owned nodes: each loads the vertices of its cell by its barycentric coordinates; of
-    P2 on intervals all nodes.
+    """Forces at points as forces at owned nodes: each loads those of its cell by their basis functions there.
 
     Args:
         level: Mesh.
@@ -85,8 +84,7 @@ def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], plac
         InputError: If a point is outside the mesh or has another number of coordinates, or for other elements.
     """
     dim = level.mesh.geometry.dim
-    quadratic = level.pair.has_p1_coarse_space and dim == 1
-    if not (level.pair.nested_hierarchy or quadratic):
+    if not (level.pair.nested_hierarchy or (level.pair.has_p1_coarse_space and dim == 1)):
         raise InputError(f"{place}: is for element P1, not for {level.pair.name}")
     points = np.zeros((len(forces), 3))
     for row, (at, _) in enumerate(forces):
@@ -101,10 +99,9 @@ def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], plac
         raise InputError(f"{place}: the point ({', '.join(f'{x:g}' for x in outside)}) is outside the mesh")
     # on an edge all cells beside it say the same: each has its share
     share = np.array([force for _, force in forces])[rows] / found[rows]
-    if quadratic:
-        weights = np.column_stack([weights * (2 * weights - 1), 4 * weights[:, 0] * weights[:, 1]])
+    values = Reference(level.mesh).basis(level.V, weights)
     around = AroundNodes(level.V, releases.cell_dofs(level.V)[cells])
-    return around.sums(weights * share[:, None])[: level.owned]
+    return around.sums(values * share[:, None])[: level.owned]
 
 
 def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -27,6 +27,7 @@ class Reference:
     """The reference cell of a mesh.
 
     Attributes:
+        kind: That of basix.
         simplex: Whether it is one.
         dim: Its dimension.
         vertices: Coordinates, shape (vertices, dim).
@@ -36,8 +37,8 @@ class Reference:
     def __init__(self, mesh: dmesh.Mesh):
         self.mesh, self.dim = mesh, mesh.topology.dim
         self.simplex = releases.cell_name(mesh) in SIMPLICES
-        self._kind = getattr(basix.CellType, releases.cell_name(mesh))
-        self.vertices = basix.geometry(self._kind)
+        self.kind = getattr(basix.CellType, releases.cell_name(mesh))
+        self.vertices = basix.geometry(self.kind)
         self.facets = facet_corners(mesh)
         self._linear = _linear(releases.cell_name(mesh))
 
@@ -119,7 +120,7 @@ class Reference:
 
     def normals(self, cells: np.ndarray, numbers: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Outward unit normals on facets of cells, on surfaces along them, shape (facets, points, 3)."""
-        outward = basix.cell.facet_outward_normals(self._kind)[numbers]
+        outward = basix.cell.facet_outward_normals(self.kind)[numbers]
         found = np.einsum("cpid,cd->cpi", self.duals(cells, where), outward)
         return found / np.linalg.norm(found, axis=2, keepdims=True)
 

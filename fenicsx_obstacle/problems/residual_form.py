@@ -93,11 +93,7 @@ class ResidualForm(Elastic):
     def energy(self, u: Any, data: Any) -> ufl.Form | None:
         if self.functional is not None:
             return ufl.replace(self.functional, {self.u: u})
-        if not (self.affine and self.symmetric):
-            return None
-        # F(u; v) = a(u, v) - f(v), so that a(u, u)/2 - f(u) = (F(u; u) + F(0; u))/2
-        zero = fem.Constant(data.level.mesh, np.zeros(self.u.ufl_shape, dtype=PETSc.ScalarType))
-        return 0.5 * (self.terms(u, u, data) + self.terms(zero, u, data))
+        return super().energy(u, data)
 
 
 def by_one_rule(F: ufl.Form) -> ufl.Form:

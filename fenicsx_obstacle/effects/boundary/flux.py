@@ -25,6 +25,3 @@ class Flux(OnPart):
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.on_part(self.value, self.part) * v * data.over(self.part, self.key, nodal=True)
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return -data.on_part(self.value, self.part) * u * data.over(self.part, self.key, nodal=True)

@@ -37,10 +37,6 @@ class Spring(OnPart):
         k = data.on_part(self.value, self.part, least=0.0)
         return k * u * v * data.over(self.part, self.key, nodal=True)
 
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        k = data.on_part(self.value, self.part, least=0.0)
-        return 0.5 * k * u**2 * data.over(self.part, self.key, nodal=True)
-
 
 class NormalSpring(OnPart):
     """sigma(u) n = -spring (u . n) n with the outward normal n: + int spring (u . n) (v . n), spring >= 0.

@@ -25,6 +25,3 @@ class Foundation(Effect):
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, least=0.0) * u * v * data.dI
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return 0.5 * data.cellwise(self.value, least=0.0) * u**2 * data.dI

@@ -31,6 +31,3 @@ class Inertia(Effect):
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, positive=True) * data.motion.acceleration(u) * v * data.dI
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, positive=True) * data.motion.acceleration_energy(u) * data.dI

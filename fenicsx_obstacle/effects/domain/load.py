@@ -31,9 +31,6 @@ class Load(Effect):
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return -data.cellwise(self.value) * v * data.dx
 
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return -data.cellwise(self.value) * u * data.dx
-
 
 @dataclass(frozen=True)
 class BodyForce(Effect):

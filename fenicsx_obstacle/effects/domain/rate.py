@@ -25,6 +25,3 @@ class Rate(Effect):
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return data.cellwise(self.value, positive=True) * data.motion.rate(u) * v * data.dI
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return data.cellwise(self.value, positive=True) * data.motion.rate_energy(u) * data.dI

@@ -36,9 +36,6 @@ class Tension(WithTension):
     def tension_at(self, u: Any, data: Sampler) -> Any:
         return data.cellwise(self.value, positive=True)
 
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return 0.5 * data.cellwise(self.value, positive=True) * inner(grad(u), grad(u)) * data.dx
-
 
 @dataclass(frozen=True)
 class Anisotropic(WithTension):
@@ -77,6 +74,3 @@ class Anisotropic(WithTension):
 
     def terms(self, u: Any, v: Any, data: Sampler) -> ufl.Form:
         return inner(self.tension_at(u, data) * grad(u), grad(v)) * data.dx
-
-    def energy(self, u: Any, data: Sampler) -> ufl.Form:
-        return 0.5 * inner(data.matrix(self.value) * grad(u), grad(u)) * data.dx
