@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -362,11 +363,11 @@ def main() -> None:
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Work units over unknowns, a line for each code."""
     page, axes = figure(8.0, 4.6)
-    markers = "os^vDPX<>"
-    for number, name in enumerate(dict.fromkeys(row["code"] for row in rows)):
+    names = dict.fromkeys(row["code"] for row in rows)
+    for name, marker in zip(names, cycle("os^vDPX<>*hd"), strict=False):
         mine = [row for row in rows if row["code"] == name]
         ours = name.startswith("this package")
-        axes.loglog([row["unknowns"] for row in mine], [row["units"] for row in mine], marker=markers[number],
+        axes.loglog([row["unknowns"] for row in mine], [row["units"] for row in mine], marker=marker,
                     linewidth=2.5 if ours else 1.2, label=name)  # fmt: skip
     axes.set(xlabel="unknowns", ylabel="linear Poisson solves", title="Membrane over a ball, the same mesh")
     axes.grid(visible=True, which="major", linewidth=0.3)

@@ -78,7 +78,7 @@ def choices(scene: Scene) -> list[Choice]:
                    "P2", {"eps": "h^2", **penalty}),
         ]  # fmt: skip
     found += [
-        Choice("P2 auto", "quadratic elements, contact at the middles of edges, eps = h^2/100",
+        Choice("P2 auto", "quadratic elements, eps = h^2/100",
                "P2", {"eps": "auto", **penalty}),
         Choice("P2 adaptive", "the same on meshes refined where a bound of the error says that it is",
                "P2", {"eps": "auto", **penalty}, adaptive=True),
