@@ -93,6 +93,14 @@ def test_one_line_says_what_it_is(ball):
     assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge in 1 step (h = 1): no"
 
 
+def test_fluxes_at_a_vertex_are_means_of_the_cells():
+    """Each of the four quadrilaterals around it counts once, however they are cut for pictures."""
+    mesh = {"shape": "rectangle", "cells": 4, "cell": "quadrilateral"}
+    answer = solve(membrane(mesh=mesh, load="8 + 30*x - 9*y", tension="1 + 3*x"), element="Q1")
+    beside = [[0.5 + dx, 0.25 + dy] for dx in (-1e-7, 1e-7) for dy in (-1e-7, 1e-7)]
+    assert answer.at([0.5, 0.25], "flux") == pytest.approx(answer.at(beside, "flux").mean(axis=0), rel=1e-5)
+
+
 def test_compare_on_one_mesh():
     """penalty against VI: the distances of the eps-study, sets that differ by a layer."""
     scene = Scene.read(DEMOS / "disk.toml").change({"solve.eps": 1e-4, "mesh.cells": 32})

@@ -6,20 +6,20 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.estimation.norms import Distance
-from fenicsx_obstacle.parallel import forget_peak_memory, largest, on_root, peak_memory_mb
+from fenicsx_obstacle.parallel import before, forget_peak_memory, largest, on_root, peak_memory_mb
 from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.show.tables import duration, megabytes
 from fenicsx_obstacle.studies import cost, price
 from fenicsx_obstacle.studies.cost import CostStudy
-from fenicsx_obstacle.studies.reference_solution import ExactReference
+from fenicsx_obstacle.studies.reference_solution import ExactReference, Reference
 from fenicsx_obstacle.studies.rows import RowStore
 from tests.conftest import COMM, DEMOS, membrane
 from tests.helpers import inside
@@ -152,7 +152,10 @@ def test_without_an_exact_solution(folder, monkeypatch):
         part = [row["errors"]["energy"] for row in price.solved(rows) if row["choice"] == name]
         assert len(part) > 1 and part[-1] < part[0] / 1.5
     again = study(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")[1]
-    assert [row["key"] for row in again] == [row["key"] for row in rows]
+    assert [row["key"] for row in again] == [row["key"] for row in rows] and price.truth(again) == first
+    on_root(COMM, (folder / "reference" / "fields.h5").unlink)  # then it is computed anew
+    again = study(membrane(load=1, upper=0.05), folder, budget="600s, 1200 unknowns")[1]
+    assert [row["key"] for row in again] == [row["key"] for row in rows] and price.truth(again) != first
 
 
 @pytest.mark.serial
@@ -295,18 +298,28 @@ def test_points_outside_count_nothing():
     assert found["max"] == pytest.approx(1) and found["energy"] < 1e-12
 
 
-def test_round_trip(folder):
-    """What was saved is read back bit by bit; what is no cloud is refused on all ranks."""
-    file = folder / "new" / "cloud.h5"
-    with closing(SolverContext(CLOUDS["matrix"], COMM)) as context:
-        cloud = Cloud.of(context.answer())
-    cloud.save(file, COMM)
-    again = Cloud.read(file, COMM)
-    for name in ("points", "weights", "tension", "u", "slopes"):
-        assert np.array_equal(getattr(again, name), getattr(cloud, name))
-    assert on_root(COMM, lambda: [path.name for path in file.parent.iterdir()]) == ["cloud.h5"]
-    on_root(COMM, lambda: file.write_bytes(file.read_bytes()[:5000]) and None)
-    with pytest.raises(InputError, match="damaged"):
-        Cloud.read(file, COMM)
-    with pytest.raises(InputError, match="No such file"):
-        Cloud.read(folder / "none.h5", COMM)
+@pytest.mark.parametrize("cells", [(4, 16), (16, 8)])
+def test_the_mesh_with_more_cells_has_the_points(cells):
+    """Slopes of P1 jump inside the cells of a reference with fewer cells: the errors are integrals all the same."""
+    scene = membrane(load=4).change({"solve.element": "P2"})
+    one, two, finer = (scene.change({"mesh.cells": count}) for count in (*cells, max(cells)))
+    with closing(SolverContext(one, COMM)) as context, closing(SolverContext(finer, COMM)) as every:
+        reference, level = context.answer(), every.problem.level
+        with closing(SolverContext(two.change({"solve.element": "P1"}), COMM)) as other:
+            answer = other.answer()
+            found = Reference(reference, {}).errors(None, answer)
+        mine = level.points.T
+        points, start = np.concatenate(COMM.allgather(mine)), before(COMM, len(mine))
+        e = (answer.at(points) - reference.at(points))[start : start + len(mine)]
+        exact = Distance(every.problem).of_u(e)
+    for norm in ("energy", "l2"):
+        assert found[norm] == pytest.approx(exact[norm], rel=1e-9)
+
+
+@pytest.mark.parametrize(("dim", "dofs", "ends"), [(3, 200, True), (3, 100, False), (1, 300, False)])
+def test_meshes_of_files_have_dimensions(dim, dofs, ends, folder):
+    """Halved cells of a solid have eight times the unknowns, those of a string twice as many."""
+    mesh = dmesh.create_unit_cube(COMM, 2, 2, 2) if dim == 3 else dmesh.create_unit_interval(COMM, 20)
+    one = CostStudy(Scene(mesh=mesh, tension=1, load=1), {}, "600s, 1000 unknowns", folder)
+    one._end(one.choices[0], [{"seconds": 1.0, "dofs": dofs, "memory_mb": 1.0}], one.scene)
+    assert ("more than the 1000 unknowns" in one.ends.get(one.choices[0].name, "")) == ends

@@ -113,7 +113,7 @@ def test_two_measurements_agree_or_the_words_say_so(monkeypatch):
     times = iter([1.0, 1.6, 2.4])
     monkeypatch.setattr(Adaptation, "work_of", lambda self, context, cells: work(16000, slower=next(times), elapsed=3))
     context = SolverContext(catalogue.scene("string_parabola"), COMM)
-    found = continued(run, 1, module._larger(run, context, 1, 3.0))
+    found = continued(run, 1, module._larger(run, context, 1))
     assert next(times, None) is None and not found.agrees and found.spread == pytest.approx(1.5)
     assert found.busy == pytest.approx(3.0)
     words = forecast_in_words(found, "bound", 2)

@@ -188,7 +188,7 @@ def _system(A: Any, f: Any, comm: MPI.Comm, **data: Any) -> MatrixSystem:
     Raises:
         InputError: Naming the argument.
     """
-    A = _matrix(A, comm)
+    A = matrix_of(A, comm)
     comm = A.comm.tompi4py()
     (own, rows), (_, columns) = A.getSizes()
     if rows != columns:
@@ -231,7 +231,8 @@ def _diagonal_entries(A: PETSc.Mat) -> np.ndarray:
     return found
 
 
-def _matrix(A: Any, comm: MPI.Comm) -> PETSc.Mat:
+def matrix_of(A: Any, comm: MPI.Comm) -> PETSc.Mat:
+    """A matrix of PETSc's from one of its own, or on one rank from whatever `scipy.sparse.csr_matrix` takes."""
     if isinstance(A, PETSc.Mat):
         return A if "aij" in A.getType() and "baij" not in A.getType() else A.convert("aij", PETSc.Mat())
     from scipy.sparse import csr_matrix

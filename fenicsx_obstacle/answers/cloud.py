@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -13,16 +12,13 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.effects.field import Rows
-from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import blocks, rule
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.hdf5 import arrays
-from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.mesh.cells import corners, own_cells
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.points import locate
 from fenicsx_obstacle.mesh.reference_cell import Reference
-from fenicsx_obstacle.parallel import largest, new_files, on_root, total
+from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import cell_name
 
 AT_ONCE = 300_000  # points that are looked up together
@@ -47,16 +43,20 @@ class Cloud:
     slopes: np.ndarray
 
     @classmethod
-    def of(cls, answer: Answer) -> Cloud:
+    def of(cls, answer: Answer, degree: int = 1) -> Cloud:
         """The points of an answer (collective).
 
         The rule is exact for u^2 on its cells and, where cells of another mesh are unions of these, for the square of a
         difference; in solids, where there would be many points, for that of slopes.
+
+        Args:
+            answer: A solution.
+            degree: Of the other one, where it is higher.
         """
         answer = on_simplices(answer)
         level, data = answer.level, answer.data()
-        dim, count = level.mesh.topology.dim, own_cells(level.mesh)
-        inside, shares = rule(dim, 2 * level.pair.degree if dim < 3 else 2 * level.pair.degree - 2)
+        dim, count, degree = level.mesh.topology.dim, own_cells(level.mesh), max(level.pair.degree, degree)
+        inside, shares = rule(dim, 2 * degree if dim < 3 else 2 * degree - 2)
         elastic = answer.scene.model.elastic
         if elastic.role == "matrix tension":
             tension = [[data.cellwise(entry) for entry in row] for row in cast(Rows, elastic.value)]
@@ -75,36 +75,6 @@ class Cloud:
             found.append((points, weights, pulling, u.ravel(), slopes.reshape(-1, 3)))
         mine = [np.concatenate(parts) for parts in zip(*found, strict=True)]
         return cls(*(np.concatenate(parts) for parts in zip(*level.comm.allgather(mine), strict=True)))
-
-    def save(self, file: Path, comm: MPI.Comm) -> None:
-        """Write an HDF5 file, in one step (collective).
-
-        Raises:
-            InputError: If it cannot be written.
-        """
-
-        def write() -> None:
-            (scratch / file.name).write_bytes(to_hdf5({one.name: getattr(self, one.name) for one in fields(self)}))
-
-        with new_files(comm, file.parent) as scratch:
-            on_root(comm, write)
-
-    @classmethod
-    def read(cls, file: Path, comm: MPI.Comm) -> Cloud:
-        """A saved one, on any number of ranks (collective).
-
-        Raises:
-            InputError: If the file does not hold one.
-        """
-
-        def load() -> list[np.ndarray]:
-            try:
-                found = arrays(file)
-                return [found[one.name] for one in fields(cls)]
-            except (OSError, ValueError, KeyError) as error:
-                raise InputError(f"{file}: is damaged: {error}") from None
-
-        return cls(*on_root(comm, load))
 
 
 class Nearby:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -117,7 +116,7 @@ class DataWithinSteps:
         assert data.model.time is not None
         field, names = data.here(one.field), data.names(one.field)
         ends = [field.at(one.x, {**names, "t": t}) for t in (start, end)]
-        highest = _largest(comm, ends)
+        highest = largest(comm, np.nan_to_num(np.abs(ends), nan=np.inf, posinf=np.inf))
         if not np.isfinite(highest):  # the message comes from the step
             return None
         allowed = self._allowed(one, end - start, size, highest)
@@ -264,12 +263,6 @@ def _sharpened(bounds: TimeBounds, dt: np.ndarray, a: np.ndarray, b: np.ndarray)
     least = np.fmax(np.fmax(bounds.lower, (a + b) / 2 - from_mean), np.minimum(a, b) - from_chord)
     most = np.fmin(np.fmin(bounds.upper, (a + b) / 2 + from_mean), np.maximum(a, b) + from_chord)
     return least, most
-
-
-def _largest(comm: MPI.Comm, values: Any) -> float:
-    """The largest absolute value; infinite where one is no number (collective)."""
-    sizes = np.abs(values)
-    return largest(comm, np.where(np.isnan(sizes), np.inf, sizes))
 
 
 def _reached(

@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from dolfinx import fem
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
@@ -24,6 +23,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.dual_weighted import adjoint_of, contributions, energy_contributions
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes, with_ghosts
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import total
@@ -260,10 +260,6 @@ def _where_all(chain: list[Problem], coarse: np.ndarray) -> np.ndarray:
 
 def _in_cells(level: Level, nodal: np.ndarray) -> np.ndarray:
     """Nodal values, each divided among the cells around the node, by owned cells (collective)."""
-    values, counts = fem.Function(level.V), fem.Function(level.V)
-    dofs = releases.cell_dofs(level.V)[: own_cells(level.mesh)]
-    np.add.at(counts.x.array, dofs, 1.0)
-    releases.add_ghosts(counts)
-    values.x.array[: level.owned] = nodal / np.maximum(counts.x.array[: level.owned], 1.0)
-    values.x.scatter_forward()
-    return values.x.array[dofs].sum(axis=1)
+    around = AroundNodes(level.V, releases.cell_dofs(level.V)[: own_cells(level.mesh)])
+    counts = around.sums(np.ones(around.nodes.shape))
+    return (with_ghosts(level.V, nodal) / np.maximum(counts, 1.0))[around.nodes].sum(axis=1)

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,8 +86,6 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         check_profiles(scene, level)
-        self._exact: Exact | None = None
-        self._estimator: Estimator | None = None
         self._poisson: float | None = None
 
     def renewed(self, scene: Scene) -> SolverContext:
@@ -102,7 +101,9 @@ class SolverContext:
     def _free(self) -> None:
         """Free everything but the mesh (collective)."""
         del self.problem
-        self._levels = self._report = self._exact = self._estimator = None
+        self._levels = self._report = None
+        for cached in ("exact", "estimator"):
+            self.__dict__.pop(cached, None)
 
     def close(self) -> None:
         """Free matrices and solvers; answers stay (collective)."""
@@ -122,31 +123,29 @@ class SolverContext:
         """That of this mesh, if solves use it (first use is collective)."""
         return self._levels_for(self.scene.options).multigrids[-1]
 
-    @property
+    @cached_property
     def exact(self) -> Exact | None:
         """The exact solution on this mesh, if the scene has one."""
-        if self._exact is None and (solution := self.scene.exact) is not None:
-            self._exact = Exact(self.problem, solution)
-        return self._exact
+        solution = self.scene.exact
+        return None if solution is None else Exact(self.problem, solution)
 
-    @property
+    @cached_property
     def estimator(self) -> Estimator:
         """Bounds of the energy error on this mesh (first use is collective).
 
         Raises:
             InputError: If there are none for its elements.
         """
-        if self._estimator is None:
-            from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
+        from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
-            self._estimator = Estimator(self.problem)
-            if self.problem.affine:
-                self._estimator.use_estimator_load()
-        return self._estimator
+        estimator = Estimator(self.problem)
+        if self.problem.affine:
+            estimator.use_estimator_load()
+        return estimator
 
     def forget_estimator(self) -> None:
         """Free the estimator, some kB per node, when this mesh becomes a coarse level of another one."""
-        self._estimator = None
+        self.__dict__.pop("estimator", None)
 
     def forget_levels(self) -> None:
         """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""

@@ -10,15 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from mpi4py import MPI
-from petsc4py import PETSc
-from scipy import sparse
 from scipy.sparse.linalg import SuperLU
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
 from fenicsx_obstacle.algebra.linear import DIRECT, defaults
 from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome
-from fenicsx_obstacle.algebra.solve_system import MatrixSystem
+from fenicsx_obstacle.algebra.solve_system import MatrixSystem, matrix_of
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.vi import residual_pressure, solve_vi
 from fenicsx_obstacle.check.reference import FreeRows, energy_norm, energy_norm_of
@@ -72,10 +70,7 @@ def solved(p: FreeRows) -> Again | None:
 
 def system_of(p: FreeRows) -> System:
     """The problem as a `System` on this rank."""
-    rows = sparse.csr_matrix(p.A)
-    rows.sort_indices()
-    csr = rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data
-    A = PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=MPI.COMM_SELF)
+    A = matrix_of(p.A, MPI.COMM_SELF)
     lower, upper = (np.array(side) if np.isfinite(side).any() else None for side in (p.lower, p.upper))
     none = np.zeros(len(p.load))
     system = MatrixSystem(

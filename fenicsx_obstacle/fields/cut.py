@@ -22,6 +22,7 @@ from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import before
 
 _SIMPLEX = {1: "interval", 2: "triangle", 3: "tetrahedron"}
+FAN = np.array([(0, 1, 4), (1, 3, 4), (3, 2, 4), (2, 0, 4)])  # a quadrilateral's triangles around its centre, node 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +58,6 @@ class OnNodes:
     cells: np.ndarray
     fields: dict[str, np.ndarray]
 
-    def global_(self, dofs: np.ndarray) -> np.ndarray:
-        """Global numbers of local dofs, as in files."""
-        return global_dofs(self.level, dofs)
-
 
 def global_dofs(level: Level, dofs: np.ndarray) -> np.ndarray:
     """Global numbers of local dofs of V_h, in 32 bits where their number allows it."""
@@ -78,15 +75,18 @@ def on_nodes(level: Level, functions: Mapping[str, fem.Function]) -> OnNodes | N
     V, own = level.V, own_cells(level.mesh)
     dofs = releases.cell_dofs(V)[:own]
     pieces = np.arange(dofs.shape[1])[None] if level.pair.nested_hierarchy else _lattice(V, releases.cell_name(V.mesh))
-
-    def nodal(function: fem.Function) -> np.ndarray:
-        space = function.function_space
-        if space == V:
-            return function.x.array.real
-        return _means(level, function.x.array[releases.cell_dofs(space)[:own]] @ _at_nodes(level).T).real
-
-    fields = {name: nodal(function) for name, function in functions.items()}
+    fields = {name: _nodal(level, function) for name, function in functions.items()}
     return OnNodes(level, dofs, dofs[:, pieces].reshape(-1, pieces.shape[1]), fields)
+
+
+def _nodal(level: Level, function: fem.Function) -> np.ndarray:
+    """Values at local dofs of V_h; where they differ from cell to cell the mean of the cells beside it (collective)."""
+    space = function.function_space
+    if space == level.V:
+        return function.x.array
+    values = function.x.array[releases.cell_dofs(space)[: own_cells(level.mesh)]] @ _at_nodes(level).T
+    around = AroundNodes(level.V, releases.cell_dofs(level.V)[: len(values)])
+    return around.sums(values) / around.sums(np.ones(values.shape))
 
 
 def _at_nodes(level: Level) -> np.ndarray:
@@ -115,48 +115,27 @@ def cut(level: Level, functions: Mapping[str, fem.Function]) -> Cut:
     if centres:
         nodes = np.column_stack([nodes, first + count + np.arange(own)])
         points = np.vstack([points, level.points.T[dofs, :gdim].mean(axis=1)])
-    pieces = _fan(dim) if centres else _lattice(V, cell)
+    pieces = FAN if centres else _lattice(V, cell)
     new = releases.create_mesh(comm, nodes[:, pieces].reshape(-1, dim + 1), points, _SIMPLEX[dim], stay=True)
     pieced = Level(new, level.h)
     start = before(comm, own * len(pieces))
     kept = given_cells(new) - start
-    corners, targets = pieces[kept % len(pieces)], releases.cell_dofs(pieced.V)[: len(kept)]
-    table = _at_nodes(level)
+    parents, corners = kept // len(pieces), pieces[kept % len(pieces)]
+    targets = releases.cell_dofs(pieced.V)[: len(kept)]
 
     def moved(function: fem.Function) -> fem.Function:
-        result, space = fem.Function(pieced.V), function.function_space
-        values = function.x.array[releases.cell_dofs(space)[:own]]
-        if space != V:
-            values = _continuous(level, values @ table.T)
+        result, values = fem.Function(pieced.V), _nodal(level, function)[dofs]
         if centres:
-            middle = function.x.array[releases.cell_dofs(space)[:own]].mean(axis=1)
+            middle = function.x.array[releases.cell_dofs(function.function_space)[:own]].mean(axis=1)
             values = np.column_stack([values, middle])
-        result.x.array[targets.ravel()] = np.take_along_axis(values[kept // len(pieces)], corners, axis=1).ravel()
+        result.x.array[targets.ravel()] = np.take_along_axis(values[parents], corners, axis=1).ravel()
         result.x.scatter_forward()
         return result
 
     fields = {name: moved(function) for name, function in functions.items()}
-    parents, found = kept // len(pieces), np.empty(nodes.shape, dtype=np.int64)
-    global_dofs = pieced.V.dofmap.index_map.local_to_global(targets.astype(np.int32).ravel())
-    found[parents[:, None], corners] = np.asarray(global_dofs).reshape(targets.shape)
+    found = np.empty(nodes.shape, dtype=np.int64)
+    found[parents[:, None], corners] = global_dofs(pieced, targets)
     return Cut(pieced, fields, found[:, : dofs.shape[1]], parents)
-
-
-def _continuous(level: Level, values: np.ndarray) -> np.ndarray:
-    """At each node the mean of what the cells beside it say, shape as `values` (cells, nodes) (collective)."""
-    return _means(level, values)[releases.cell_dofs(level.V)[: len(values)]]
-
-
-def _means(level: Level, values: np.ndarray) -> np.ndarray:
-    """The same at local nodes."""
-    around = AroundNodes(level.V, releases.cell_dofs(level.V)[: len(values)])
-    return around.sums(values) / around.sums(np.ones(values.shape))
-
-
-def _fan(dim: int) -> np.ndarray:
-    """A quadrilateral's triangles around its centre, node 4."""
-    assert dim == 2
-    return np.array([(0, 1, 4), (1, 3, 4), (3, 2, 4), (2, 0, 4)])
 
 
 def _lattice(V: fem.FunctionSpace, cell: str) -> np.ndarray:

@@ -15,6 +15,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.cut import Cut, OnNodes, cut, on_nodes
 from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.text import nearest
 
@@ -158,28 +159,20 @@ class Fields:
                     np.minimum(gap.x.array, sign * (self.u.x.array - obstacle.x.array), out=gap.x.array)
             return [gap]
         if of in ("slope", "flux"):
-            vector, degree = ufl.grad(self.u), self._slope_degree
+            pair = self.level.pair
+            smaller = pair.nested_hierarchy or pair.has_p1_coarse_space  # on other cells gradients have terms like xy
+            vector, degree = ufl.grad(self.u), pair.degree - 1 if smaller else pair.degree
             if of == "flux":
                 if tension is None:
                     raise InputError(NO_TENSION)
-                vector, degree = tension * vector, degree + self._tension_degree
+                # the sampled tension is of `Level.W`
+                vector, degree = tension * vector, degree + (0 if pair.degree == 1 else pair.degree)
             space = releases.functionspace(self.level.mesh, "DG", degree)
             components = [fem.Function(space) for _ in range(self.level.mesh.geometry.dim)]
             for axis, component in enumerate(components):
                 component.interpolate(releases.expression(vector[axis], space))
             return components
         return [getattr(self, of)]
-
-    @property
-    def _tension_degree(self) -> int:
-        """Degree of the polynomials of the sampled tension in a cell, those of `Level.W`."""
-        return 0 if self.level.pair.degree == 1 else self.level.pair.degree
-
-    @property
-    def _slope_degree(self) -> int:
-        """Degree of the gradients of V_h."""
-        pair = self.level.pair
-        return pair.degree - 1 if pair.nested_hierarchy or pair.has_p1_coarse_space else pair.degree
 
     def _with_infinities(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh, infinite where it is infinite at a node that counts there (collective)."""
@@ -194,10 +187,7 @@ class Fields:
 
     def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
         """Values of a Function on this mesh (collective)."""
-        from fenicsx_obstacle.mesh.points import values_of  # only if requested
-
-        parents = None if self.level.pair.nested_hierarchy else self.cut.parents
-        return values_of(function, points, level=self.plain.level, parents=parents)
+        return values_of(function, points, level=self.level.scalar)
 
 
 def with_gap(own: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

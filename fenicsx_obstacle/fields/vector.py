@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -18,7 +17,6 @@ from fenicsx_obstacle.fields.cut import Cut
 from fenicsx_obstacle.fields.scalar import PARTITION, Fields, Force
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import Level, over
-from fenicsx_obstacle.mesh.points import values_of
 from fenicsx_obstacle.parallel import before
 from fenicsx_obstacle.text import nearest
 
@@ -78,7 +76,7 @@ class VectorFields(Fields):
 
     def tables(self) -> dict[str, np.ndarray]:
         """The contact nodes."""
-        return {f"nodes/{one.name}": getattr(self.nodes, one.name) for one in dataclasses.fields(self.nodes)}
+        return {f"nodes/{name}": values for name, values in vars(self.nodes).items()}
 
     def force(self, lower: float | None, upper: float | None) -> VectorForce:
         return VectorForce(lower, upper, self.nodes.resultant, self.nodes.moment())
@@ -170,6 +168,3 @@ class VectorFields(Fields):
         if of == "von_mises" and self.von_mises is None:
             raise InputError(f"at() has no von_mises here: {NO_STRESS}")
         return [getattr(self, of)]
-
-    def _evaluated(self, function: fem.Function, points: np.ndarray) -> np.ndarray:
-        return values_of(function, points)

@@ -321,7 +321,7 @@ def _gathered(comm: MPI.Comm, own: Mapping[str, np.ndarray]) -> dict[str, np.nda
 
 def _nodes(fields: Fields, shown: OnNodes | None) -> np.ndarray:
     """Rows of the files that belong to the dofs of each owned cell (collective)."""
-    return fields.cut.nodes if shown is None else shown.global_(shown.nodes)
+    return fields.cut.nodes if shown is None else global_dofs(shown.level, shown.nodes)
 
 
 def _own(fields: Fields, shown: OnNodes | None) -> dict[str, np.ndarray]:
@@ -329,7 +329,7 @@ def _own(fields: Fields, shown: OnNodes | None) -> dict[str, np.ndarray]:
     if shown is not None:
         level = shown.level
         values = with_gap({name: values[: level.owned] for name, values in shown.fields.items()})
-        return {"points": level.points.T[: level.owned], "cells": shown.global_(shown.cells), **values}
+        return {"points": level.points.T[: level.owned], "cells": global_dofs(level, shown.cells), **values}
     plain = fields.plain
     level = plain.level.scalar
     return {

@@ -113,9 +113,7 @@ def mean_over_cells(comm: MPI.Comm, count: int, rows: np.ndarray, values: np.nda
     return np.divide(sums[0], sums[1], out=np.full(count, np.nan), where=sums[1] > 0)
 
 
-def values_of(
-    u: fem.Function, points: np.ndarray, *, level: Level | None = None, parents: np.ndarray | None = None
-) -> np.ndarray:
+def values_of(u: fem.Function, points: np.ndarray, *, level: Level | None = None) -> np.ndarray:
     """Values of a Function of one component at points, on any cells; not-a-number outside its mesh (collective).
 
     Where it has several values, on the sides of cells, it is their mean.
@@ -123,18 +121,16 @@ def values_of(
     Args:
         u: Function.
         points: The same on every rank, shape (n, 3).
-        level: The mesh in which points are looked up; by default that of u.
-        parents: If it is another one, for each of its cells the cell of the mesh of u in which it lies.
+        level: The mesh of u, where there is one already.
     """
     mesh = u.function_space.mesh
     level = level or Level(mesh, 0.0)
     rows, cells, weights = locate(level, points)
-    if parents is None and releases.geometry_degree(mesh) == 1:
+    if releases.geometry_degree(mesh) == 1:
         values = Reference(mesh).values(u, cells, weights[:, None])[:, 0]
         return mean_over_cells(level.comm, len(points), rows, values)
     x = points[rows]
-    if level.mesh.topology.dim < level.mesh.geometry.dim:  # of a point beside a surface the nearest one in its cell
-        x = np.einsum("pv,pvi->pi", weights, corners(level.mesh, cells))
-    cells = cells if parents is None else parents[cells]
+    if mesh.topology.dim < mesh.geometry.dim:  # of a point beside a surface the nearest one in its cell
+        x = np.einsum("pv,pvi->pi", weights, corners(mesh, cells))
     found = u.eval(x, cells.astype(np.int32)) if len(rows) else np.empty(0)
     return mean_over_cells(level.comm, len(points), rows, np.ravel(found))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 import ufl
@@ -196,7 +196,7 @@ class ComponentSystem(System):
         u, self._bcs, self._name, self.source, self.prefix = residual.u, bcs, name, f"{name}:", prefix
         V, self.comm, self._u, self._residual = u.function_space, u.function_space.mesh.comm, u, residual
         self.affine, self.symmetric = residual.affine, residual.symmetric
-        self.has_energy, self.checks = residual.functional is not None, (_undetermined,)
+        self.has_energy, self.checks = residual.functional is not None, (cast(Any, ComponentSystem.undetermined),)
         self._bounded = {k: Component(k, residual, sides, name) for k, sides in bounds.items()}
         level = next(iter(self._bounded.values())).level
         self.h, self._level, self._vertices = level.h, level, vertex_digests(level)
@@ -335,8 +335,3 @@ class ComponentSystem(System):
             {k: largest(self.comm, beyond[dofs]) for k, _, dofs in parts},
             options.method, outcome.eps, outcome.iterations, outcome.history, self._name,
         )  # fmt: skip
-
-
-def _undetermined(system: System, active: np.ndarray) -> str | None:
-    assert isinstance(system, ComponentSystem)
-    return system.undetermined(active)

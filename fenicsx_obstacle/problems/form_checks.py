@@ -23,6 +23,7 @@ from fenicsx_obstacle.data.fields import foreign, is_complex
 from fenicsx_obstacle.discrete.assembly import assembled
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.shared_dofs import points_of_nodes
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total, warn
@@ -125,11 +126,8 @@ def check_integrals(form: ResidualForm, bcs: Sequence[Any], place: str) -> None:
 
 def _reached(integrals: Sequence[ufl.Integral], V: fem.FunctionSpace) -> np.ndarray:
     """Whether an owned node is one of a cell that is in, or at a facet of, the domain of an integral (collective)."""
-    reached = fem.Function(V)
-    nodes = reached.x.array.reshape(-1, V.dofmap.index_map_bs)
-    nodes[releases.cell_dofs(V)[_cells_of(integrals, V.mesh)]] = 1.0
-    releases.add_ghosts(reached)
-    return np.asarray(nodes[: V.dofmap.index_map.size_local, 0] != 0)
+    dofs = releases.cell_dofs(V)[_cells_of(integrals, V.mesh)]
+    return AroundNodes(V, dofs).sums(np.ones(dofs.shape))[: V.dofmap.index_map.size_local] > 0
 
 
 def _has_zero_row(slope: ufl.Form, u: fem.Function, bcs: Sequence[Any]) -> np.ndarray:

@@ -23,8 +23,9 @@ from fenicsx_obstacle.parallel import total, warn
 from fenicsx_obstacle.text import shown
 
 
-def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress: Any) -> None:
-    """Reject a problem without an obstacle, a u that is no Function, and for a scalar u what is for vectors.
+def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, measure: Any, stress: Any) -> None:
+    """Reject a problem without an obstacle, a u that is no Function, for a scalar u what is for vectors, and for bounds
+    of components what has no meaning there.
 
     Raises:
         InputError: Naming the argument.
@@ -40,16 +41,8 @@ def check_unknown(u: Any, place: str, *, lower: Any, upper: Any, of: Any, stress
         raise InputError(f"{place}: of= is for vector-valued u; obstacles bound a scalar u itself")
     if stress is not None and not vector_valued:
         raise InputError(f"{place}: stress= is for vector-valued u")
-
-
-def refuse_given(place: str, **given: Any) -> None:
-    """Reject arguments that have no meaning where bounds are given for components.
-
-    Raises:
-        InputError: Naming the first.
-    """
-    for key, value in given.items():
-        if value is not None:
+    for key, value in (("of", of), ("measure", measure), ("stress", stress)):
+        if value is not None and (isinstance(lower, Mapping) or isinstance(upper, Mapping)):
             raise InputError(f"{place}: {key}= has no meaning where lower or upper is a dict: leave it out")
 
 

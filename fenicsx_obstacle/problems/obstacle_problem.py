@@ -54,7 +54,6 @@ from fenicsx_obstacle.problems.input_checks import (
     facets_of,
     number_of,
     obstacle,
-    refuse_given,
     vertex_digests,
     warn_of_conditions,
 )
@@ -167,15 +166,13 @@ class ObstacleProblem:
         Raises:
             InputError: If an argument is invalid, or no u can satisfy the data.
         """
-        check_unknown(u, self.name, lower=lower, upper=upper, of=of, stress=stress)
+        check_unknown(u, self.name, lower=lower, upper=upper, of=of, measure=measure, stress=stress)
         V, name = u.function_space, self.name
         mesh, compiled = V.mesh, (form_compiler_options, jit_options)
         in_components = isinstance(lower, Mapping) or isinstance(upper, Mapping)
         self._vector_valued = V.dofmap.index_map_bs > 1 and not in_components
         if in_components:  # a scalar problem does not load this
             from fenicsx_obstacle.problems.components import ComponentSystem, bounds_of
-
-            refuse_given(name, of=of, measure=measure, stress=stress)
         elif not self._vector_valued:
             facets = None if measure is None else facets_of(measure, mesh, name)
             level = of_space(V, name, None if facets is None else {"contact": facets})

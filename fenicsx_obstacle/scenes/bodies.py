@@ -498,6 +498,4 @@ def part_of(one: Facing, nodes: ContactTable) -> ContactTable:
     """The contact nodes that face an obstacle."""
     size = np.ptp(nodes.points, axis=0).max(initial=0.0)
     near = cKDTree(one.points).query(nodes.points)[0] <= SAME * size
-    return ContactTable(
-        nodes.points[near], nodes.normals[near], nodes.areas[near], nodes.pressure[near], nodes.gap[near]
-    )
+    return ContactTable(*(column[near] for column in vars(nodes).values()))

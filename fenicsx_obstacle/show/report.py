@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.fields.cut import OnNodes
+from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
 from fenicsx_obstacle.origin import program
@@ -148,8 +148,8 @@ def near_free_boundary(fields: Fields) -> Patch | None:
     near, nodes = _near(shown, [pressed(values, side) for side in sides])
     rows = np.flatnonzero(nodes[:owned])
     parts: dict[str, np.ndarray] = {
-        "numbers": shown.global_(rows),
-        "cells": shown.global_(shown.cells[near]),
+        "numbers": global_dofs(level, rows),
+        "cells": global_dofs(level, shown.cells[near]),
         "points": level.points.T[rows],
         **{name: values[name][rows] for name in ("u", "pressure", "contact", *sides)},
     }

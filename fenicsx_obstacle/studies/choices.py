@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
 
 FIRST = "eps of the first mesh"  # stands for the number that h^2 is there
@@ -86,16 +87,12 @@ def choices(scene: Scene) -> list[Choice]:
     return found
 
 
-def dimension(scene: Scene) -> int:
-    """Of its mesh; meshes of files are taken to be plane."""
-    return {"interval": 1, "box": 3}.get(scene.tables.mesh.shape or "", 2)
-
-
 def uniform_meshes(scene: Scene) -> Iterator[Scene]:
     """The scene on uniform meshes, each finer than the one before."""
-    table, dim = scene.tables.mesh, dimension(scene)
+    table = scene.tables.mesh
     for k in range(MESHES):
         if table.shape is None:
             yield scene.change({"mesh.refine": table.refine + k})
         else:
+            dim = len(shape_of(scene).cells)
             yield scene.change({"mesh.refine": 0, "mesh.cells": FIRST_CELLS[dim] * FACTOR[dim] ** k})

@@ -66,6 +66,7 @@ class Study:
     """A study that may be interrupted: rows in a store are not computed again.
 
     Attributes:
+        base: The scene without these values.
         vary: Values of each key that varies.
         by: What orders are taken in: eps, h or nothing.
         penalised: Whether any row has an eps.
@@ -103,9 +104,9 @@ class Study:
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self._solves = Solves(self.comm)
         self.store: RowStore | None = None
-        self._base = changed(scene, options)
+        self.base = changed(scene, options)
         combinations = [dict(zip(vary, values, strict=True)) for values in product(*vary.values())]
-        self.points = [(combination, self.scene(combination)) for combination in combinations]
+        self.points = [(combination, changed(self.base, combination)) for combination in combinations]
         self.last = self.points[-1][1]
         penalised = [point.penalised for _, point in self.points]
         if self.by == "eps" and not all(penalised):
@@ -135,14 +136,6 @@ class Study:
     def last_answer(self) -> Answer:
         """The answer of the last row, for a study whose last row came from its store (collective)."""
         return self.solve(*self.points[-1])
-
-    def scene(self, combination: Mapping[str, Any]) -> Scene:
-        """The scene with these values of the keys.
-
-        Raises:
-            InputError: If one does not fit its key.
-        """
-        return changed(self._base, combination)
 
     def solve(self, combination: Mapping[str, Any], scene: Scene) -> Answer:
         """The answer of a scene with these values of the keys (collective)."""

@@ -22,18 +22,18 @@ from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
 from fenicsx_obstacle.answers.adapt import Budget, Refinement
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.cloud import Cloud
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.estimation.norms import Distance
-from fenicsx_obstacle.io.folder import content_of
+from fenicsx_obstacle.io.folder import ANSWER, content_of
 from fenicsx_obstacle.mesh.memory import fits
 from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.parallel import forget_peak_memory, on_root, peak_memory_mb, total
+from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, dimension, uniform_meshes
+from fenicsx_obstacle.studies.choices import FACTOR, FIRST, Choice, choices, uniform_meshes
 from fenicsx_obstacle.studies.reference_solution import ExactReference, Reference, Truth, make_reference, sizes_of
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 
@@ -43,7 +43,7 @@ OnRow = Callable[[Row], None]
 DEFAULT_BUDGET = "10s, 1.2e6 unknowns"
 GROWTH = 3.0  # of an adaptive mesh over the one before
 MAP_MESHES, MAP_EPS = 4, 20  # of the map over h and eps: meshes, and powers of ten
-REFERENCE = "reference.h5"
+REFERENCE = "reference"  # a folder
 EPSILON = float(np.finfo(float).eps)
 
 
@@ -80,6 +80,7 @@ class CostStudy:
         self.choices, self.ends = choices(self.full), dict[str, str]()
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
+        self._dim: int | None = None  # of the meshes
 
     @read_once()
     def run(self, on_row: OnRow, store: RowStore) -> list[Row]:
@@ -115,23 +116,26 @@ class CostStudy:
         else:
             if row is not None:
                 try:
-                    if on_root(self.comm, content_of, self.folder / REFERENCE) != row.get("reference"):
+                    if self._content_of_reference() != row.get("reference"):
                         raise InputError("the reference solution of another run")
-                    self.truth = Reference(Cloud.read(self.folder / REFERENCE, self.comm), row)
-                except InputError:  # or the file was removed
+                    self.truth = Reference(Answer.read(self.folder / REFERENCE, self.comm), row)
+                except InputError:  # or files were removed
                     row = None
             if row is None:
                 _log.info("the reference solution, on the finest mesh")
                 limits = min(self.budget.seconds, 60.0), min(self.budget.unknowns, 3e5)
-                found = make_reference(self.scene, *limits, self.comm)
-                found.cloud.save(self.folder / REFERENCE, self.comm)
-                self.truth = found
+                self.truth = make_reference(self.scene, *limits, self.comm)
+                self.truth.answer.save(self.folder / REFERENCE)
         if row is None:
             row = {"choice": "", **self.truth.record}
             if self.full.tables.exact is None:
-                row["reference"] = on_root(self.comm, content_of, self.folder / REFERENCE)
+                row["reference"] = self._content_of_reference()
             row = self._store.add(key, row)
         return row
+
+    def _content_of_reference(self) -> str:
+        """A hash of the reference solution that is kept (collective)."""
+        return on_root(self.comm, content_of, self.folder / REFERENCE / ANSWER)
 
     def _uniform(self, members: Sequence[Choice]) -> Iterator[Row]:
         """Rows of choices that share their meshes (collective)."""
@@ -274,11 +278,14 @@ class CostStudy:
 
     def _end(self, choice: Choice, rows: Sequence[Row], scene: Scene) -> None:
         """Note why there is no further row, if there is none (collective)."""
-        dim, budget, last = dimension(scene), self.budget, rows[-1]
-        growth = GROWTH if choice.adaptive else float(FACTOR[dim] ** dim)
+        budget, last = self.budget, rows[-1]
         if last.get("reason"):
             self.ends[choice.name] = str(last["reason"])
             return
+        if self._dim is None:
+            self._dim = meshes.coarsest(scene, self.comm).mesh.topology.dim
+        dim, halved = self._dim, scene.tables.mesh.shape is None
+        growth = GROWTH if choice.adaptive else float((2 if halved else FACTOR[dim]) ** dim)
         times = [row["seconds"] for row in rows]
         if choice.adaptive:  # seconds are those of all meshes so far
             next_ = times[-1] + growth * (times[-1] - (times[-2] if len(times) > 1 else 0.0))

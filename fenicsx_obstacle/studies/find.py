@@ -120,8 +120,8 @@ class Find(Study):
         solved = [self.row(values, scene, keep=False) for values, scene in self.points]
         values = [self._value(x, row) for x, (row, _) in zip(self.ends, solved, strict=True)]
         self._check_bracket(values)
-        for x, (row, answer) in zip(self.ends, solved, strict=True):
-            self._take(x, self.keep(row, self._at(x)), answer, on_row)
+        for x, (_, scene), (row, answer) in zip(self.ends, self.points, solved, strict=True):
+            self._take(x, self.keep(row, scene), answer, on_row)
         del solved
 
         from scipy.optimize import brentq  # only where a target is looked for
@@ -129,7 +129,7 @@ class Find(Study):
         def difference(x: float) -> float:
             x = self.comm.bcast(float(x))  # one value on all ranks
             if x not in self.rows:
-                row, answer = self.row({self.key: x}, self._at(x))
+                row, answer = self.row({self.key: x}, changed(self.base, {self.key: x}))
                 self._take(x, row, answer, on_row)
             return self._value(x, self.rows[x]) - self.target
 
@@ -137,7 +137,7 @@ class Find(Study):
         root = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
         steep = STEEP * self.within * (max(values) - min(values))
         self.found = self._continuous(self.comm.bcast(float(root)), difference, steep)
-        self.last = self._at(self.found)
+        self.last = changed(self.base, {self.key: self.found})
         row = self.rows.pop(self.found)
         rows = [*self.rows.values(), row]
         self.write_table(rows)
@@ -153,9 +153,6 @@ class Find(Study):
         if answer is not None and x == self.found:
             return answer
         return self.solve({self.key: self.found}, self.last)
-
-    def _at(self, x: float) -> Scene:
-        return self.scene({self.key: x})
 
     def _take(self, x: float, row: Row, answer: Answer | None, on_row: OnRow | None) -> None:
         self.rows[x] = row

@@ -72,12 +72,11 @@ class Forecast:
         return self.spread <= AGREE
 
 
-def forecast(run: Adaptation, seconds: float = SECONDS) -> Forecast:
+def forecast(run: Adaptation) -> Forecast:
     """Run the first meshes of `solve --tol`, and continue them (collective).
 
     Args:
         run: The refinement, before its first mesh.
-        seconds: Processor time of the first meshes.
 
     Raises:
         InputError: If there is no error bound or estimate.
@@ -91,23 +90,23 @@ def forecast(run: Adaptation, seconds: float = SECONDS) -> Forecast:
             if stopped is not None:
                 last = run.work[-1]
                 return Forecast(answer.dofs, spent, last.memory_mb, len(run.path), 0.0, spent, stopped)
-            if len(run.path) >= MIN_MESHES and spent > seconds:
+            if len(run.path) >= MIN_MESHES and spent > SECONDS:
                 dim = answer.level.mesh.topology.dim
-                larger = _larger(run, context, dim, seconds)
+                larger = _larger(run, context, dim)
                 free = free_megabytes(run.comm)
                 break
     return continued(run, dim, larger, free)
 
 
-def _larger(run: Refinement, context: SolverContext, dim: int, seconds: float) -> Sequence[Work]:
+def _larger(run: Refinement, context: SolverContext, dim: int) -> Sequence[Work]:
     """The work for a larger mesh, until two measurements agree (collective).
 
     None, if the last mesh took so long that its constant part does not matter.
     """
     last = run.work[-1]
-    if last.seconds > seconds:
+    if last.seconds > SECONDS:
         return []
-    growth = min(LARGER, LARGER_SECONDS * seconds / last.seconds)
+    growth = min(LARGER, LARGER_SECONDS * SECONDS / last.seconds)
     count = own_cells(context.problem.level.mesh)
     cells = np.arange(count) < (growth - 1) / (2**dim - 1) * count
     found: list[Work] = []

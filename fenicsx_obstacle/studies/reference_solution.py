@@ -60,25 +60,33 @@ class ExactReference:
 
 
 class Reference:
-    """Errors against a solution on a finer mesh, at the quadrature points of its cells.
+    """Errors against a solution on another mesh, at the quadrature points of the cells of that with more cells.
 
     Attributes:
-        cloud: The solution.
+        answer: The solution.
         record: Unknowns, bound, and how much the last refinement changed of each norm.
         occupied: MB that measuring errors on the present mesh takes, as far as somebody noted it.
     """
 
-    def __init__(self, cloud: Cloud, record: Mapping[str, Any]):
-        self.cloud, self.record = cloud, dict(record)
+    def __init__(self, answer: Answer, record: Mapping[str, Any]):
+        self.answer, self.record = answer, dict(record)
+        self._simplices = on_simplices(answer)
+        self._cloud = Cloud.of(answer)
         self._nearby: tuple[Level, Nearby] | None = None
         self.occupied = 0.0
 
-    def errors(self, _: SolverContext, answer: Answer) -> Errors:
+    def errors(self, _: object, answer: Answer) -> Errors:
         """By norm; the maximum is over the points (collective)."""
         answer = on_simplices(answer)
+        finer, coarser = self._simplices, answer
+        if answer.level.cells > self._simplices.level.cells:  # the slopes of the answer jump inside the other's cells
+            finer, coarser = coarser, finer
+        cloud = self._cloud if finer is self._simplices else Cloud.of(finer, coarser.level.pair.degree)
         if self._nearby is None or self._nearby[0] is not answer.level:
-            self._nearby = answer.level, Nearby(self.cloud, answer.level)
-        return {**self._nearby[1].norms(answer.u), **_contact_errors(answer, self.record)}
+            self._nearby = answer.level, Nearby(cloud, coarser.level)
+        nearby = self._nearby[1]
+        nearby.cloud = cloud  # of the same points
+        return {**nearby.norms(coarser.u), **_contact_errors(answer, self.record)}
 
     def forget(self) -> None:
         """Release the mesh."""
@@ -141,9 +149,10 @@ def make_reference(scene: Scene, seconds: float, unknowns: float, comm: MPI.Comm
     if bound is not None:
         record["bound"] = {"total": bound.total, "relative": bound.relative, "words": bound.words,
                            "guaranteed": bound.guaranteed}  # fmt: skip
-    cloud, before = Cloud.of(answer), on_simplices(before)
-    record["changed"] = {**Nearby(cloud, before.level).norms(before.u), **_contact_errors(before, record)}
-    return Reference(cloud, record)
+    reference = Reference(answer, record)
+    reference.record["changed"] = reference.errors(None, before)
+    reference.forget()
+    return reference
 
 
 Answers = Generator[tuple[Answer, float, float], None, None]  # with about the seconds and unknowns of the next mesh
