@@ -28,6 +28,7 @@ class ElementP1(Element):
 
     equilibration: EquilibrationP1
     obstacles: list[ObstacleExcess]
+    _degree = 1  # see `Tension.integrate_distances`
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
@@ -258,7 +259,7 @@ class ElementP1(Element):
             sigma = simplices.flux_fields(flux.normal[cells], points, cells)
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape) + self._bends(points, cells), sigma
 
-        self.tension.integrate_distances(squares, fields, degree=1)
+        self.tension.integrate_distances(squares, fields, self._degree)
         load, points = self.oscillation, self.equilibration.points
         if self.equilibration.load.pieces is None and not points.given:
             return squares, squares
