@@ -12,7 +12,8 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.axial_flux import AxialFlux
 from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
-from fenicsx_obstacle.estimation.element import UNDERFLOW, Element, Terms
+from fenicsx_obstacle.estimation.covered_obstacle import UNDERFLOW
+from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.pieces import Pieces
