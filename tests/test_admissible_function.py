@@ -74,6 +74,20 @@ def test_two_flat_obstacles_that_touch():
     assert bound.guaranteed and np.abs(bound.admissible.x.array).max() <= 0.5
 
 
+@pytest.mark.parametrize("shape", SHAPES)
+def test_what_may_be_round_off_has_an_energy(shape):
+    """A crease of two equal obstacles in a strip of stiff cells: u_h is beyond them by 1e-10 of its range, no more, but
+    the energy of the difference is far above the other terms of the bound."""
+    crease, beside = "-5e-9*abs(x - 17/32)", "9*max(abs(x - 17/32) - 1/32, 0)"
+    parts = [{"on": side, "value": -1} for side in ("left", "right")]
+    mesh = {"shape": shape, "cells": 16} if shape == "interval" else {"shape": shape, "y": [0, 0.25], "cells": 16}
+    scene = Scene(mesh=mesh, tension="where(abs(x - 17/32) < 1/32, 1e12, 1)", load=0, lower=f"{crease} - {beside}",
+                  upper=f"{crease} + {beside}", boundary=parts)  # fmt: skip
+    bound = solve(scene, bound=True, method="vi").bound
+    area = 1 / 16 if shape == "interval" else 1 / 64
+    assert bound.guaranteed and bound.total >= 5e-9 * np.sqrt(1e12 * area)
+
+
 KINKS = {  # mesh 8 x 8: energy error of u_h, and int u - u_h; by Fourier series
     "abs": ("max(0, 0.06 - abs(x - 0.5625))", 0.079722, 0.00240384),
     "mod": ("0.1*max(0, 1 - abs((8*x) % 1 - 0.6)/0.2)", 0.370883, None),

@@ -40,6 +40,8 @@ CLOSED = {
                                  "where(x < a, f/k - (f/k - c)*cosh(s*(a - x)), c)", foundation="k", **FLAT),
     "smooth obstacle": lambda: below(tension=1, load="-u2 - push"),
     "tension": lambda: below(tension="1 + x", load="-(1 + x)*u2 - u1 - push"),
+    "tension alone": lambda: string({"C": "1/ln(2)"}, [{"value": 0}], "C*ln(1 + x) - x", tension="1 + x", load=1,
+                                    lower=-1),
     "foundation and tension": lambda: below(tension="exp(x)", foundation="2 + x",
                                             load="-exp(x)*(u2 + u1) + (2 + x)*w - push"),
     "point load": lambda: string({}, [{"value": "w"}], "w",

@@ -375,7 +375,7 @@ class Tension:
             squares: One for each cell.
             fields: Gives g and s at barycentric points of some cells, shape (cells or 1, points, d + 1), each of shape
                 (cells, points, d).
-            degree: Of s; g has one less.
+            degree: That of s at least, and one more than that of g at least.
         """
         squares[self.varies] = 0.0
         for part in self._parts:

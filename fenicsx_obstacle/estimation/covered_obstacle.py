@@ -9,6 +9,7 @@ whole cell, whichever is less.
 from __future__ import annotations
 
 import numpy as np
+from mpi4py import MPI
 
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.data.data import Data
@@ -20,8 +21,11 @@ from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.rt1 import nodes_of, quadratics
 from fenicsx_obstacle.estimation.simplices import Simplices
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, smallest, total
 
+CROSSING = 1e-9  # relative to the range of u: obstacles that cross each other by less do so by what their bounds lack,
+ROUNDED = 1e-12  # relative to its values: by round-off,
+UNDERFLOW = 1e-290  # or where all are 0: intervals are rounded outward by 1e-300
 FEW = 20_000  # parts: more are not divided, as on fine meshes they matter less
 
 
@@ -110,6 +114,18 @@ class CoveredObstacle:
         of_boundary = self.dirichlet.energy(np.ones(len(without)))
         self.cover_energy[:] = np.minimum(self.cover_energy, (np.sqrt(without) + np.sqrt(of_boundary)) ** 2)
         return bool(above.any()) and not known
+
+
+def negligible(comm: MPI.Comm, v: np.ndarray) -> tuple[float, float]:
+    """A height beyond an obstacle that is round-off, and one that may be (collective).
+
+    Args:
+        comm: Of the mesh.
+        v: Values of the state.
+    """
+    high, low = largest(comm, v), smallest(comm, v)
+    rounded = ROUNDED * max(high, -low) + UNDERFLOW
+    return rounded, CROSSING * (high - low) + rounded
 
 
 def _with_quadratics(linear: np.ndarray, u: np.ndarray, inside: np.ndarray) -> np.ndarray:

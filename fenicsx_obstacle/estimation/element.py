@@ -14,7 +14,7 @@ from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.cell_data import Tension, load_of, matrix_of, obstacles_of, other_effects, proved
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
 from fenicsx_obstacle.estimation.clipped import Clipped
-from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
+from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle, negligible
 from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
 from fenicsx_obstacle.estimation.enclosed_data import range_of
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
@@ -25,10 +25,6 @@ from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.parallel import largest, smallest
 
 MARGIN = 0.1  # of the range of u: obstacles are replaced by a limit that is so much farther away than the bound of u
-
-CROSSING = 1e-9  # relative to the range of u: obstacles that cross each other by less do so by what their bounds lack,
-ROUNDED = 1e-12  # relative to its values: by round-off,
-UNDERFLOW = 1e-290  # or where all are 0: intervals are rounded outward by 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,9 +200,7 @@ class Element(ABC):
         most = max([*beyond, self._below], default=0.0)
         if len(covers) == 2:
             most = max(most, largest(comm, np.minimum(*covers)))
-        high, low = largest(comm, v), smallest(comm, v)
-        limit = CROSSING * (high - low) + ROUNDED * max(high, -low) + UNDERFLOW
-        return most if most > limit else 0.0
+        return most if most > negligible(comm, v)[1] else 0.0
 
     def energy_of(self, v: np.ndarray) -> tuple[float, float] | None:
         """Bounds of the energy of a function, a(v, v)/2 - f(v) with the true data; None where there are none

@@ -12,7 +12,8 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.axial_flux import AxialFlux
 from fenicsx_obstacle.estimation.cell_data import other_effects, proved, tension_of_state
 from fenicsx_obstacle.estimation.certification import CellDatum, Obstacle
-from fenicsx_obstacle.estimation.element import UNDERFLOW, Element, Terms
+from fenicsx_obstacle.estimation.covered_obstacle import UNDERFLOW
+from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.pieces import Pieces
@@ -28,6 +29,7 @@ class ElementP1(Element):
 
     equilibration: EquilibrationP1
     obstacles: list[ObstacleExcess]
+    _degree = 1  # see `Tension.integrate_distances`
 
     def __init__(self, problem: Problem):
         """Sample the data, sort the corners around the vertices (collective)."""
@@ -258,7 +260,7 @@ class ElementP1(Element):
             sigma = simplices.flux_fields(flux.normal[cells], points, cells)
             return np.broadcast_to(gradient[:, cells].T[:, None], sigma.shape) + self._bends(points, cells), sigma
 
-        self.tension.integrate_distances(squares, fields, degree=1)
+        self.tension.integrate_distances(squares, fields, self._degree)
         load, points = self.oscillation, self.equilibration.points
         if self.equilibration.load.pieces is None and not points.given:
             return squares, squares

@@ -152,6 +152,7 @@ class ElementP2OnIntervals(ElementP1):
     """P2 on one mesh of intervals."""
 
     equilibration: EquilibrationP2OnIntervals
+    _degree = 2  # mu u_h' is of higher degree than sigma where mu varies
 
     @staticmethod
     def _equilibrated(problem: Problem) -> EquilibrationP1:

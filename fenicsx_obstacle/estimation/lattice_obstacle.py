@@ -13,7 +13,7 @@ import numpy as np
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.cell_data import in_cells
-from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
+from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle, negligible
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of
 from fenicsx_obstacle.estimation.pieces import Group, Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks
@@ -149,7 +149,7 @@ class LatticeObstacle(CoveredObstacle):
         """By how much the obstacle may be above the final state, on any rank, but on small triangles with a Dirichlet
         corner (collective).
 
-        There it is covered (`CoveredObstacle`).
+        There it is covered (`CoveredObstacle`), and elsewhere if it may be round-off.
 
         Args:
             u: Values of P2 at the nodes of cells.
@@ -163,7 +163,9 @@ class LatticeObstacle(CoveredObstacle):
             bends = self._bends(u, near, gap, gap + self.sign * added[near], np.zeros(len(near), dtype=bool))
             above, beside = bends.highest + bends.bend, self._at_boundary(near)
             most = largest_of(comm, above[~beside])
-            place, number = np.nonzero(beside & (above > 0))
+            rounded, limit = negligible(comm, u)
+            covered = (beside & (above > 0)) | ((above > rounded) & (most <= limit))
+            place, number = np.nonzero(covered)
             kept = ~moved[cells]
             cells, small = np.append(cells[kept], near[place]), np.append(small[kept], number)
         lift = np.take_along_axis(self.sign * added[cells], SMALL[small], axis=1)

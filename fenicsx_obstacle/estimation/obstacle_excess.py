@@ -15,7 +15,7 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
 from fenicsx_obstacle.estimation.boundary_values import ROUND_OFF
 from fenicsx_obstacle.estimation.cell_data import in_cells
-from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle
+from fenicsx_obstacle.estimation.covered_obstacle import CoveredObstacle, negligible
 from fenicsx_obstacle.estimation.enclosed_data import Division
 from fenicsx_obstacle.estimation.pieces import LOWEST, Pieces
 from fenicsx_obstacle.estimation.simplices import Simplices
@@ -90,25 +90,27 @@ class ObstacleExcess(CoveredObstacle):
         """By how much the obstacle may be above the final state, on any rank, but beside nodes where it is given
         (collective).
 
-        There it is covered (`CoveredObstacle`).
+        There it is covered (`CoveredObstacle`), and elsewhere if it may be round-off.
 
         Args:
             v: sign times the state at local dofs.
         """
         dofs, comm = self.simplices.dofs, self.simplices.data.level.comm
         at_nodes = largest(comm, self.floor - v)
-        if self._flat and not self.dirichlet.twice:
+        rounded, limit = negligible(comm, v)
+        if self._flat and not self.dirichlet.twice and at_nodes <= rounded:
             return at_nodes
         near, outside = self._near(v), self.dirichlet.leaves
         if not self._flat:
             outside = self.simplices.given[dofs].any(axis=1) | (self.dirichlet.deviation > 0)
-        beside = near & outside
-        owner, count = np.flatnonzero(beside), dofs.shape[1]
+        above = np.minimum(self._height - _least(v - self.nodal, dofs), self._top - _least(v, dofs))
+        most = max(at_nodes, largest(comm, above[near & ~outside]))
+        covered = outside | (above > rounded) if most <= limit else outside
+        owner, count = np.flatnonzero(near & covered), dofs.shape[1]
         whole = np.broadcast_to(np.eye(count), (len(owner), count, count))
         unbounded = self._cover(owner, whole, v[dofs[owner]], BESIDE, size=self._size)
         self.sampled = self._of_samples or total(comm, int(unbounded)) > 0
-        above = np.minimum(self._height - _least(v - self.nodal, dofs), self._top - _least(v, dofs))
-        return max(at_nodes, largest(comm, above[near & ~beside]))
+        return most
 
     def _near(self, u: np.ndarray) -> np.ndarray:
         """Cells in which u may touch the obstacle, whose excess becomes known sharper there (collective)."""
