@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -99,7 +100,7 @@ def values_of(text: str, key: str) -> list[Any]:
     if match is None:
         return [_value(part) for part in text.split(",")]
     first, last = _value(match[1]), _value(match[2])
-    if not all(isinstance(end, int | float) and 0 < end < math.inf for end in (first, last)):
+    if not all(isinstance(end, int | float) and 0 < end <= sys.float_info.max for end in (first, last)):
         raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
     whole = isinstance(first, int) and isinstance(last, int)
     if match[3] is not None:

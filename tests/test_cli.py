@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fenicsx_obstacle import releases
+from fenicsx_obstacle import InputError, releases
 from fenicsx_obstacle.arguments import values_of
 from fenicsx_obstacle.launcher import mpirun
 from tests.conftest import CLEAN, DEMOS, slow_except
@@ -136,6 +136,8 @@ def test_a_source_that_another_process_removes(tmp_path, monkeypatch):
 )
 def test_lists_of_values(text, key, values):
     assert values_of(text, key) == values
+    with pytest.raises(InputError, match="ends of a range are positive numbers"):
+        values_of(f"1..1{'0' * 309}", key)  # a whole number beyond all floating-point numbers
 
 
 @pytest.mark.slow
