@@ -32,25 +32,57 @@ def pieces(data, text, x, division=DIVISION):
 @pytest.mark.parametrize("corners", [2, 3, 4])
 @pytest.mark.parametrize("degree", [1, 2, 4])
 def test_constants_of_the_remainder(corners, degree):
-    """They are the largest values of sum |L_i| |a_i - x|^n, lengths being at most half the sum of the differences of
-    barycentric coordinates, and of the same with gradients; not much larger either."""
-    points, n = polynomials.inner_points(corners, degree), degree + 1
-    x = np.random.default_rng(0).dirichlet(np.full(corners, 0.3), 4000)
-    x = np.vstack([x, np.eye(corners), (np.eye(corners) + np.roll(np.eye(corners), 1, axis=0)) / 2])
+    """They are bounds of sum |L_i| |a_i - x|^n, lengths being at most half the sum of the differences of barycentric
+    coordinates, and of the same with gradients: proved on parts of the simplex. They are not much larger either."""
+    points = polynomials.inner_points(corners, degree)
     lagrange = polynomials.coefficients(np.eye(len(points)), corners, degree)
-    far = (np.abs(points[:, None] - x[None]).sum(axis=2) / 2) ** n
-    found = (np.abs(polynomials.evaluate(lagrange, x, degree)) * far).sum(axis=0).max()
+
+    def sizes(parts):
+        """|L_i| is at most the polynomial with the absolute values of its Bernstein coefficients."""
+        return np.abs(lagrange @ np.swapaxes(polynomials.to_parts(parts, degree), 1, 2))
+
     limit = polynomials.REMAINDER[corners][degree]
-    assert 0.9 * limit <= found <= limit
+    assert holds(points, degree, sizes, limit) and not holds(points, degree, sizes, 0.9 * limit)
     if degree == 1:
         return
     along = polynomials.slopes(lagrange, corners, degree)
-    there = np.stack([polynomials.evaluate(along[:, k], x, degree - 1) for k in range(corners)])
-    # gradients of barycentric coordinates are no longer than 1/H, and add up to 0
-    steep = np.abs(there - np.median(there, axis=0)).sum(axis=0)
-    found = (steep * far).sum(axis=0).max()
+
+    def steepness(parts):
+        """Gradients of barycentric coordinates are no longer than 1/H, and add up to 0: any number may be subtracted
+        from the derivatives."""
+        there = along @ np.swapaxes(polynomials.to_parts(parts, degree - 1), 1, 2)[:, None]
+        middle = np.median(there.mean(axis=3), axis=2)
+        return np.abs(there - middle[:, :, None, None]).sum(axis=2)
+
     limit = polynomials.STEEPNESS[corners][degree]
-    assert 0.9 * limit <= found <= limit
+    assert holds(points, degree, steepness, limit, 1) and not holds(points, degree, steepness, 0.9 * limit, 1)
+
+
+def holds(points, degree, sizes, limit, less=0):
+    """Whether it is proved, on parts of the simplex, that sum s_i |a_i - x|^n is at most the limit.
+
+    The power is convex, so that it is below the linear function with its values at the corners of a part.
+
+    Args:
+        points: The a_i.
+        degree: n - 1.
+        sizes: Bernstein coefficients of bounds of the s_i on parts of the simplex, shape (parts, points, coefficients).
+        limit: What is to be proved.
+        less: By which the degree of these bounds is less.
+    """
+    corners, bound_degree = points.shape[1], degree - less
+    parts = np.eye(corners)[None]
+    times, places = polynomials.exponents(corners, bound_degree), polynomials._raised(corners, bound_degree + 1)
+    while 0 < len(parts) < 10_000:
+        far = (np.abs(parts[:, :, None] - points).sum(axis=3) / 2) ** (degree + 1)
+        products = np.einsum("pim,pvi->pvm", sizes(parts), far)
+        found = np.zeros((len(parts), len(polynomials.exponents(corners, bound_degree + 1))))
+        for corner in range(corners):
+            found[:, places[corner]] += (times[:, corner] + 1) / (bound_degree + 1) * products[:, corner]
+        parts = polynomials.halved(parts[found.max(axis=1) > limit])
+        if np.ptp(parts, axis=1).max(initial=0.0) < 1e-6:  # of an edge
+            break
+    return not len(parts)
 
 
 @pytest.mark.slow
