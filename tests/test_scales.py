@@ -169,7 +169,7 @@ def test_contact_on_a_curve_inside_with_a_nonlinear_form():
     assert found[0] == pytest.approx(found[1], rel=0.01) and found[1] > 1
 
 
-@pytest.mark.parametrize(("ratio", "method"), [(1e8, "vi"), (1e10, "vi"), (1e10, "penalty"), (1e12, "penalty")])
+@pytest.mark.parametrize(("ratio", "method"), [(1e8, "vi"), (1e11, "vi"), (1e10, "penalty"), (1e12, "penalty")])
 def test_a_part_that_given_values_separate_is_solved_beside_much_larger_loads(ratio, method):
     """Two strings of length 1/2 with a common end; the load of one is `ratio` times that of the other, which has an
     obstacle, and changes between solves: force q (1/2 - 2 (2 g/q)^(1/2)) for an obstacle at -g."""
