@@ -123,7 +123,7 @@ def _attempt(problem: System, how: dict[str, Any], multigrid: Multigrid | None, 
 
 
 def residual_pressure(problem: System) -> np.ndarray:
-    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere.
+    """p_i = (a(u, phi_i) - f(phi_i)) / D_i at owned points of I that touch an obstacle, 0 elsewhere (collective).
 
     The last residual must be the one of the solution.
     """
