@@ -12,7 +12,7 @@ where r has mean zero in each cell and rho is the unbalanced force. The bound ho
 the iteration has converged or not; it assumes nothing of angles, contact set or regularity. The element gives sigma,
 the multipliers, v_h and r: `element_p1`, `element_p2`.
 
-Statements (E1) to (E26) of docs/bound_proofs.md prove the bound; the functions that compute them name them.
+Statements (E1) to (E27) of docs/bound_proofs.md prove the bound; the functions that compute them name them.
 
 `words` says how far the bound is guaranteed (`certification`). It is 'certified' if it uses no samples: numbers,
 formulas and Functions of the mesh are enclosed in each cell (`pieces`), and the domain is the polygon of the mesh. A

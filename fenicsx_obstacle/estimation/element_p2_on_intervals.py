@@ -99,7 +99,7 @@ class EquilibrationP2OnIntervals(EquilibrationP1):
         self, u: np.ndarray, touches_lower: np.ndarray, touches_upper: np.ndarray,
         gaps: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
     ) -> FluxP1:  # fmt: skip
-        """See `EquilibrationP1.flux`; where mu u_h' jumps at a contact node, sigma jumps too (collective)."""
+        """See `EquilibrationP1.flux`; where mu u_h' jumps at a contact node, sigma jumps too, (E27) (collective)."""
         flux, simplices = super().flux(u, touches_lower, touches_upper, gaps), self.simplices
         outward = -simplices.along_normals(self.pulled(simplices.gradient(u)))[:, ::-1]  # at the vertices
         outward -= (4 * self.mu * _bubble(self._nodal) / simplices.area)[:, None]
