@@ -9,6 +9,7 @@ from tests.random.families import (
     axial,
     bearings,
     boundary_values,
+    close,
     concentrated,
     conditions,
     curves,
@@ -24,10 +25,10 @@ from tests.random.families import (
     touching,
     varying,
 )
-from tests.random.families.family import Family
+from tests.random.families.family import ClosedForm, Family
 
 # u is a closed form, and a bound of the error is compared with the true one
-TRUTHS: dict[str, st.SearchStrategy[Family]] = {
+TRUTHS: dict[str, st.SearchStrategy[ClosedForm]] = {
     "layers": layers.layers(),
     "layers in contact": layers.layers_in_contact(),
     "waves": layers.waves(),
@@ -48,6 +49,7 @@ TRUTHS: dict[str, st.SearchStrategy[Family]] = {
     "loaded line": concentrated.loaded_lines(),
     "tetrahedra": solids.tetrahedra(),
 }
+TRUTHS["close obstacles"] = close.close(st.one_of(list(TRUTHS.values())))
 KNOWN: dict[str, st.SearchStrategy[Family]] = {
     **TRUTHS,
     "boundary values": boundary_values.jumps(),
