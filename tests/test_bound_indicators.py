@@ -78,6 +78,10 @@ UNPROVED = {
         {"mesh": {**PLANE, "y": [0, 0.1]}, "load": 1,
          "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": "-588*y*(0.1 - y)"}]},
         "the spring may be negative"),
+    "a foundation that is negative between middles, far below a stiff one": (
+        {"mesh": {**LINE, "cells": 40}, "load": 1, "boundary": [{"value": 0}],
+         "foundation": "where(x < 0.1, 1e11, where(abs((40*x) % 1 - 0.5) < 0.1, 0, -14))"},
+        "the foundation may be negative"),
 }  # fmt: skip
 
 
