@@ -74,6 +74,9 @@ UNPROVED = {
         {"mesh": PLANE, "lower": 0, "boundary": [{"on": "bottom", "value": "0.5*cos(16*pi*x)"},
                                                  {"on": "top", "value": 0.5}]},
         NOWHERE),
+    "an obstacle above boundary values on a short piece": (
+        {"mesh": PLANE, "lower": "-1 + 1.5*exp(-((x - 0.5044)/5e-4)^2 - (y/5e-4)^2)", "boundary": [{"value": 0}]},
+        NOWHERE),
     "a spring that is negative between nodes": (
         {"mesh": {**PLANE, "y": [0, 0.1]}, "load": 1,
          "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": "-588*y*(0.1 - y)"}]},
