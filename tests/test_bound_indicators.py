@@ -74,10 +74,17 @@ UNPROVED = {
         {"mesh": PLANE, "lower": 0, "boundary": [{"on": "bottom", "value": "0.5*cos(16*pi*x)"},
                                                  {"on": "top", "value": 0.5}]},
         NOWHERE),
+    "an obstacle above boundary values on a short piece": (
+        {"mesh": PLANE, "lower": "-1 + 1.5*exp(-((x - 0.5044)/5e-4)^2 - (y/5e-4)^2)", "boundary": [{"value": 0}]},
+        NOWHERE),
     "a spring that is negative between nodes": (
         {"mesh": {**PLANE, "y": [0, 0.1]}, "load": 1,
          "boundary": [{"on": "left", "value": 0}, {"on": "right", "spring": "-588*y*(0.1 - y)"}]},
         "the spring may be negative"),
+    "a foundation that is negative between middles, far below a stiff one": (
+        {"mesh": {**LINE, "cells": 40}, "load": 1, "boundary": [{"value": 0}],
+         "foundation": "where(x < 0.1, 1e11, where(abs((40*x) % 1 - 0.5) < 0.1, 0, -14))"},
+        "the foundation may be negative"),
 }  # fmt: skip
 
 

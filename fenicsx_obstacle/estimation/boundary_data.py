@@ -54,7 +54,9 @@ HALVED = {2: 0, 3: 3}  # subdivisions of facets on which the bound of the slope 
 MIN_DEPTH = 2  # of the division of the smallest ones, along the line where a condition changes and beside it
 STEEP = 0.02  # this fraction of the slope of d
 MAX_PARTS = 100_000  # of facets; no subdivision beyond
-LOOKS = {2: 12, 3: 6}  # degree of the points of facets at which obstacles are compared with what is given
+# where obstacles are compared with what is given: facets are divided where either is rough; degree of the points there
+APART = {2: Division(6), 3: Division(2)}
+LOOKS = {2: 12, 3: 6}
 NO_WIDTH = 1e-14  # relative to the facet: parts between two cuts that are narrower are lines, up to round-off
 
 
@@ -119,14 +121,16 @@ class BoundaryData:
 
     def below(self, obstacle: Field, sign: float) -> float:
         """By how much sign times what is given is below an obstacle at points of facets, on this rank; -inf of
-        intervals."""
+        intervals (collective where the obstacle is the first to need the distance)."""
         most, data = -np.inf, self.simplices.data
         for part in self._parts:
-            x = polynomials.inner_points(self._dim, LOOKS[self._dim]) @ part.x
-            points, cells = np.zeros((3, x.shape[0] * x.shape[1])), np.repeat(part.cells, x.shape[1])
-            points[: self._dim] = x.reshape(-1, self._dim).T
-            gap = sign * (data.at(obstacle, points, cells) - data.at(part.value, points, cells))
-            most = max(most, float(gap[np.isfinite(gap)].max(initial=-np.inf)))
+            both = (pieces_of(data, one, part.x, part.cells, APART[self._dim]) for one in (obstacle, part.value))
+            for group in (group for pieces in both for group in pieces.groups):
+                x = group.points(polynomials.inner_points(self._dim, LOOKS[self._dim])) @ part.x[group.rows]
+                points, cells = np.zeros((3, x.shape[0] * x.shape[1])), np.repeat(part.cells[group.rows], x.shape[1])
+                points[: self._dim] = x.reshape(-1, self._dim).T
+                gap = sign * (data.at(obstacle, points, cells) - data.at(part.value, points, cells))
+                most = max(most, float(gap[np.isfinite(gap)].max(initial=-np.inf)))
         return most
 
     def _facets(self, nodal: np.ndarray) -> list[Facets]:

@@ -16,12 +16,11 @@ from fenicsx_obstacle.estimation.covered_obstacle import UNDERFLOW
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
-from fenicsx_obstacle.estimation.pieces import Pieces
 from fenicsx_obstacle.estimation.quadrature import blocks
 from fenicsx_obstacle.estimation.simplices import Simplices, sums
 from fenicsx_obstacle.parallel import largest, smallest, total
 
-NEGATIVE = 1e-9  # of the largest value: round-off below 0
+NEGATIVE = 1e-9  # of the least foundation that holds as the tension does: it changes the energy by no more
 
 
 class ElementP1(Element):
@@ -128,18 +127,16 @@ class ElementP1(Element):
     def data_in_cells(self) -> list[CellDatum]:
         """See `Element.data_in_cells`."""
         pieces, parts = self.equilibration.reaction.pieces, self.equilibration.parts
-        found = [self._not_negative("foundation", pieces)]
+        round_off = -NEGATIVE / self.friedrichs**2 - UNDERFLOW
+        found = [CellDatum("foundation", pieces, "foundation may be negative, infinite or undefined", least=round_off)]
         if parts.pieces:
             flux, springs = parts.pieces
             found.append(CellDatum("flux", flux, "flux may be infinite or undefined", parts.cells))
-            found.append(self._not_negative("spring", springs, parts.cells))
+            # the mean of e^2 over a facet E of a cell T is about that over T
+            slender = largest(self.simplices.data.level.comm, parts.size / self.simplices.area[parts.cells])
+            least, wrong = round_off / max(slender, 1e-300), "spring may be negative, infinite or undefined"
+            found.append(CellDatum("spring", springs, wrong, parts.cells, least=least))
         return [*super().data_in_cells(), *found]
-
-    def _not_negative(self, name: str, pieces: Pieces | None, cells: np.ndarray | None = None) -> CellDatum:
-        """A datum that must not be negative but for round-off (collective)."""
-        size = 0.0 if pieces is None else largest(self.simplices.data.level.comm, pieces.upper[pieces.finite])
-        wrong = f"{name} may be negative, infinite or undefined"
-        return CellDatum(name, pieces, wrong, cells, least=-NEGATIVE * max(size, 0.0) - UNDERFLOW)
 
     def rim_energy(self) -> np.ndarray:
         """See `Element.rim_energy`."""
