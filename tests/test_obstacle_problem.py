@@ -222,6 +222,27 @@ def test_contact_on_a_part_of_the_boundary():
         own.problem(measure=ufl.dx)
 
 
+@pytest.mark.parametrize("kind", ["ds", "dS"])
+def test_a_measure_has_the_facets_of_its_kind(kind):
+    """Contact by a tag on the right side and on a line inside: ds has the side, dS the line, as in integrals. Without a
+    tag dS has all facets inside: contact, held at 0 all around, is at all nodes inside."""
+    own = Membrane()
+    mesh = own.mesh
+    places = {"ds": 1.0, "dS": 0.5}
+    there = dmesh.locate_entities(mesh, 1, lambda x: np.isclose(x[0], 1.0) | np.isclose(x[0], 0.5))
+    tags = dmesh.meshtags(mesh, 1, np.sort(there).astype(np.int32), np.full(len(there), 3, np.int32))
+    left = fem.locate_dofs_geometrical(own.V, lambda x: np.isclose(x[0], 0))
+    bc = fem.dirichletbc(PETSc.ScalarType(0), left, own.V)
+    measure = ufl.Measure(kind, domain=mesh, subdomain_data=tags)
+    found = own.problem(bcs=[bc], upper=0.01, measure=measure(3)).solve(method="vi")
+    own_nodes = own.V.dofmap.index_map.size_local
+    x, touching = own.V.tabulate_dof_coordinates()[:own_nodes, 0], found.contact.x.array[:own_nodes] > 0.5
+    assert np.array_equal(touching, np.isclose(x, places[kind])) and same(found.area, 1.0)
+    everywhere = own.problem(upper=1e-6, measure=ufl.Measure(kind, domain=mesh))
+    if kind == "dS":
+        assert largest(mesh.comm, everywhere.solve(method="vi").u.x.array) < 1.1e-6
+
+
 def tagged(mesh, dim, number=3):
     """Cells, or facets of the left side, tagged with a number."""
     find = dmesh.locate_entities if dim == mesh.topology.dim else dmesh.locate_entities_boundary
