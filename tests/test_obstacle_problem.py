@@ -164,6 +164,20 @@ def test_drift_that_begins_later():
     assert np.isclose(own.problem().solve(eps=1e-7).force.upper, moved.force.upper, rtol=1e-7)
 
 
+@pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
+def test_strong_drift_without_contact_is_one_linear_system(method):
+    """The linear solver judges by the residual, which a preconditioner that strong drift spoils does not show."""
+    own = Membrane(6)
+    x = ufl.SpatialCoordinate(own.mesh)
+    own.mu.value = 1e-3
+    own.F += (3 * own.u.dx(0) - ufl.sin(7 * x[0])) * own.v * ufl.dx
+    left = fem.locate_dofs_geometrical(own.V, lambda x: np.isclose(x[0], 0))
+    bc = fem.dirichletbc(PETSc.ScalarType(0), left, own.V)
+    problem = own.problem(bcs=[bc], upper=100.0)
+    found = problem.solve(method=method)
+    assert found.iterations == 1 and found.force.upper == 0 and found.verify()
+
+
 def test_what_is_linear_is_found_out():
     """Derivatives free of u, and no condition with u in it; symmetric where the matrix is."""
     own = Membrane(4)
