@@ -1,5 +1,6 @@
 """Bounds of components of blocked and mixed spaces, against dense active sets by NumPy on one rank."""
 
+import warnings
 from contextlib import nullcontext as nothing
 
 import numpy as np
@@ -323,6 +324,21 @@ def test_a_second_solve_takes_changed_data():
     assert np.abs(second.u.x.array - fresh.u.x.array).max() <= 1e-10
     assert second.force[0].lower > first.force[0].lower
     assert problem.solve(method="vi").iterations == 0
+
+
+def test_coupling_that_begins_later():
+    """A matrix that stops being symmetric is no indefinite energy: no warning, and w0 = -1 - 5 w1 = -3.5."""
+    mesh = dmesh.create_unit_interval(COMM, 8)
+    W, k = releases.functionspace(mesh, "Lagrange", 1, 2), fem.Constant(mesh, 0.0)
+    w, z = fem.Function(W), ufl.TestFunction(W)
+    F = (ufl.inner(ufl.grad(w), ufl.grad(z)) + (w[0] + k * w[1] + 1) * z[0] + (w[1] - 1) * z[1]) * ufl.dx
+    problem = ObstacleProblem(F, w, lower={0: -5.0}, upper={1: 0.5})
+    problem.solve(method="vi")
+    k.value = 5.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        problem.solve(method="vi")
+    assert np.allclose(w.sub(0).collapse().x.array, -3.5)
 
 
 def test_what_a_solution_says():

@@ -99,6 +99,35 @@ def test_patch(cell, degree, method):
     assert np.allclose(solution.force.moment, moment, atol=1e-10 * q)
 
 
+@pytest.mark.parametrize("changed", ["of", "measure"])
+def test_what_is_evaluated_once_must_stay(changed):
+    """A Constant in `of` or in the factor of the measure changes after the first solve: the next ones refuse."""
+    body = Body(Cell.triangle, 1, [3, 3])
+    ds = body.tagged(above=lambda x: np.isclose(x[1], 1))
+    values = {key: fem.Constant(body.mesh, PETSc.ScalarType(1.0)) for key in ("of", "measure")}
+    F = ufl.inner(stress(strain_of(body.u), 0.3), strain_of(body.v)) * ufl.dx - 0.1 * body.v[1] * ds(3)
+    bcs = [body.held(lambda x: np.isclose(x[1], 0), axis) for axis in range(2)]
+    of, measure = body.u[1] + values["of"], values["measure"] * ds(3)
+    problem = ObstacleProblem(F, body.u, bcs=bcs, upper=1.01, of=of, measure=measure)
+    solution = problem.solve()
+    assert solution.verify()
+    values[changed].value = 0.5
+    for call in (problem.solve, solution.verify):
+        with pytest.raises(InputError, match="evaluated once"):
+            call()
+
+
+def test_a_measure_that_is_a_sum():
+    """Parts of a sum have one factor and the same MeshTags, and each facet once."""
+    body = Body(Cell.triangle, 1, [3, 3])
+    first, other = (body.tagged(one=lambda x, k=k: np.isclose(x[k], 1)) for k in (1, 0))
+    F = ufl.inner(stress(strain_of(body.u), 0.3), strain_of(body.v)) * ufl.dx
+    r, bcs = body.x[0], [body.held(lambda x: np.isclose(x[1], 0), axis) for axis in range(2)]
+    for measure in (r * first(3) + r * other(3), r * first(3) + r * first(3), r * first + r * first(3)):
+        with pytest.raises(InputError, match="factor times it"):
+            ObstacleProblem(F, body.u, bcs=bcs, upper=1.0, of=body.u[1], measure=measure)
+
+
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell", "degree"), ELEMENTS[:4])

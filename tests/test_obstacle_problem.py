@@ -159,9 +159,23 @@ def test_drift_that_begins_later():
     assert at_rest.energy is not None
     drift.value = 10.0
     moved = problem.solve(eps=1e-7)
-    assert moved.energy is None
+    assert moved.energy is None and problem.solver.ksp.getType() == "gmres"
     own.u.x.array[:] = 0
     assert np.isclose(own.problem().solve(eps=1e-7).force.upper, moved.force.upper, rtol=1e-7)
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi", "successive"])
+def test_strong_drift_without_contact_is_one_linear_system(method):
+    """The linear solver judges by the residual, which a preconditioner that strong drift spoils does not show."""
+    own = Membrane(6)
+    x = ufl.SpatialCoordinate(own.mesh)
+    own.mu.value = 1e-3
+    own.F += (3 * own.u.dx(0) - ufl.sin(7 * x[0])) * own.v * ufl.dx
+    left = fem.locate_dofs_geometrical(own.V, lambda x: np.isclose(x[0], 0))
+    bc = fem.dirichletbc(PETSc.ScalarType(0), left, own.V)
+    problem = own.problem(bcs=[bc], upper=100.0)
+    found = problem.solve(method=method)
+    assert found.iterations == 1 and found.force.upper == 0 and found.verify()
 
 
 def test_what_is_linear_is_found_out():
@@ -220,6 +234,27 @@ def test_contact_on_a_part_of_the_boundary():
         own.problem(measure=ds(7))
     with pytest.raises(InputError, match="expected ds or dS"):
         own.problem(measure=ufl.dx)
+
+
+@pytest.mark.parametrize("kind", ["ds", "dS"])
+def test_a_measure_has_the_facets_of_its_kind(kind):
+    """Contact by a tag on the right side and on a line inside: ds has the side, dS the line, as in integrals. Without a
+    tag dS has all facets inside: contact, held at 0 all around, is at all nodes inside."""
+    own = Membrane()
+    mesh = own.mesh
+    places = {"ds": 1.0, "dS": 0.5}
+    there = dmesh.locate_entities(mesh, 1, lambda x: np.isclose(x[0], 1.0) | np.isclose(x[0], 0.5))
+    tags = dmesh.meshtags(mesh, 1, np.sort(there).astype(np.int32), np.full(len(there), 3, np.int32))
+    left = fem.locate_dofs_geometrical(own.V, lambda x: np.isclose(x[0], 0))
+    bc = fem.dirichletbc(PETSc.ScalarType(0), left, own.V)
+    measure = ufl.Measure(kind, domain=mesh, subdomain_data=tags)
+    found = own.problem(bcs=[bc], upper=0.01, measure=measure(3)).solve(method="vi")
+    own_nodes = own.V.dofmap.index_map.size_local
+    x, touching = own.V.tabulate_dof_coordinates()[:own_nodes, 0], found.contact.x.array[:own_nodes] > 0.5
+    assert np.array_equal(touching, np.isclose(x, places[kind])) and same(found.area, 1.0)
+    everywhere = own.problem(upper=1e-6, measure=ufl.Measure(kind, domain=mesh))
+    if kind == "dS":
+        assert largest(mesh.comm, everywhere.solve(method="vi").u.x.array) < 1.1e-6
 
 
 def tagged(mesh, dim, number=3):

@@ -34,6 +34,22 @@ def assembled(form, V):
     return b.array.copy()
 
 
+def test_nodes_without_an_obstacle_do_not_hide_those_beside_them(space):
+    """-1e20 at every other node leaves the term of the others; -inf would make them not-a-number, and is refused."""
+    u, v, g = fem.Function(space), ufl.TestFunction(space), fem.Function(space)
+    u.x.array[:], g.x.array[:] = -1.0, -0.5
+    everywhere = assembled(penalty(u, v, lower=g, eps=1.0), space)
+    none = np.round(6 * space.tabulate_dof_coordinates()[:, :2].sum(axis=1)).astype(int) % 2 == 0
+    g.x.array[none] = -1e20
+    own = space.dofmap.index_map.size_local
+    expected = np.where(none[:own], 0.0, everywhere)
+    assert np.allclose(assembled(penalty(u, v, lower=g, eps=1.0), space), expected, rtol=1e-12, atol=0)
+    g.x.array[none] = -np.inf
+    for obstacle in (g, g + 1, -np.inf):
+        with pytest.raises(InputError, match="not finite"):
+            penalty(u, v, lower=obstacle, eps=1.0)
+
+
 def test_form_is_nodal(space):
     """(3.4): row i of (1/eps) I((u - g)^+, v) is D_i (u_i - g_i)^+ / eps, and its mirror image below."""
     u, v = fem.Function(space), ufl.TestFunction(space)

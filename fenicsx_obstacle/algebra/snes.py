@@ -117,7 +117,8 @@ def run(
     if inexact:
         database["ksp_norm_type"] = INEXACT["ksp_norm_type"]
     if user_has_set(f"{prefix}ksp_type"):
-        database.pop("ksp_norm_type", None)  # the natural norm is one of few methods
+        for key in ("ksp_norm_type", "ksp_pc_side"):  # the natural norm is one of few methods
+            database.pop(key, None)
     snes = PETSc.SNES().create(problem.comm)
     x = problem.vector()
     residual = x.duplicate()
@@ -155,7 +156,10 @@ def run(
         finished = attempt(lambda: snes.solve(None, x), snes, x, residual)
         finished = total(problem.comm, not finished) == 0  # an error may be of one rank alone
     problem.set_state(x)
-    reason = snes.getConvergedReason() if finished else PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
+    unsolved = PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
+    reason = snes.getConvergedReason() if finished else unsolved
+    if direct and reason == unsolved and problem.affine and not problem.symmetric:
+        reason = MEANINGLESS  # A is singular up to round-off
     outcome = Outcome(
         name, snes.getIterationNumber(), snes.getLinearSolveIterations(), tuple(stopping.history),
         time.perf_counter() - start, reason, stopping.roundoff_limited,
@@ -167,7 +171,7 @@ def run(
         problem.solver = _detached(snes)
     else:
         snes.destroy()
-    failed = outcome.reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE and linear is not DIRECT
+    failed = outcome.reason == unsolved and linear is not DIRECT
     if failed and problem.dofs <= LARGEST and not any(user_has_set(f"{prefix}{key}") for key in LINEAR):
         _log.info("an iterative linear solver did not converge; a direct solver is used")
         stopping.begin_again()

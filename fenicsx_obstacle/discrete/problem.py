@@ -32,7 +32,6 @@ class Problem(MeshSystem):
         self.prefix, self.source, self.comm = prefix, model.source, level.comm
         check_admissible(data)
         self.affine = all(effect.affine for effect in model.effects)
-        self.symmetric = all(effect.symmetric for effect in model.effects)
         self.all_points, self.weights_are_sparse = level.pair.at_vertices, data.thin
         self.to_points = None if level.pair.nodal else cell_means(level)
         if model.time is not None:
@@ -46,6 +45,10 @@ class Problem(MeshSystem):
         check_limit_load(self)
         self._check_support()
         self.set_reference(self.cold_start())
+
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        return all(effect.symmetric for effect in self.model.effects)  # for a form it changes with its coefficients
 
     def _look_at_data(self) -> None:
         """Refer to the present arrays of the data."""

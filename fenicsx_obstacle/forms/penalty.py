@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.rules import Rule, facet_of, has_nodal_rule, nodal_rule
+from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
@@ -50,8 +51,8 @@ def penalty(
         A linear form in v.
 
     Raises:
-        InputError: If eps is not positive, no obstacle is given, or the element of v has no nodal rule (P2 on triangles
-            and tetrahedra, degree 3 and above).
+        InputError: If eps is not positive, no obstacle is given or one is infinite, or the element of v has no nodal
+            rule (P2 on triangles and tetrahedra, degree 3 and above).
     """
     if lower is None and upper is None:
         raise InputError("penalty: give an obstacle, lower= or upper=")
@@ -59,8 +60,8 @@ def penalty(
     if not arguments:
         raise InputError("penalty: v must be a test function, or a scalar part of one")
     for g in (lower, upper):
-        if g is not None and not isinstance(g, ufl.core.expr.Expr):
-            _real(g, "penalty: the obstacle")
+        if g is not None:
+            _check_finite(g)
     space = arguments[0].ufl_function_space()
     domain = space.ufl_domain()
     measure = ufl.Measure("dx", domain=domain) if measure is None else measure
@@ -130,6 +131,25 @@ def _nodal(g: Any, space: Any) -> Any:
     nodal = fem.Function(space)
     nodal.interpolate(releases.expression(g, space))
     return nodal.x.array
+
+
+def _check_finite(g: Any) -> None:
+    """Reject an obstacle that is infinite at nodes: where it is interpolated, the nodes beside them would have none
+    (collective).
+
+    Raises:
+        InputError: With the remedy.
+    """
+    if not isinstance(g, ufl.core.expr.Expr):
+        bad = not np.isfinite(_real(g, "penalty: the obstacle"))
+    else:
+        functions = [one for one in ufl.algorithms.extract_coefficients(g) if isinstance(one, fem.Function)]
+        bad = any(total(one.function_space.mesh.comm, ~np.isfinite(one.x.array)) > 0 for one in functions)
+    if bad:
+        raise InputError(
+            "penalty: the obstacle is not finite: leave it out where it is infinite everywhere; at nodes without an "
+            "obstacle take a number far beyond u, such as -1e20 below and 1e20 above"
+        )
 
 
 def _constant(domain: Any, eps: Any) -> Any:

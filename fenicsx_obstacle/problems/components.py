@@ -195,7 +195,7 @@ class ComponentSystem(System):
         """Compile and assemble."""
         u, self._bcs, self._name, self.source, self.prefix = residual.u, bcs, name, f"{name}:", prefix
         V, self.comm, self._u, self._residual = u.function_space, u.function_space.mesh.comm, u, residual
-        self.affine, self.symmetric = residual.affine, residual.symmetric
+        self.affine = residual.affine
         self.has_energy, self.checks = residual.functional is not None, (cast(Any, ComponentSystem.undetermined),)
         self._bounded = {k: Component(k, residual, sides, name) for k, sides in bounds.items()}
         level = next(iter(self._bounded.values())).level
@@ -222,6 +222,10 @@ class ComponentSystem(System):
         law.assemble()
         self._set_law(law)
 
+    @property
+    def symmetric(self) -> bool:  # type: ignore[override]
+        return self._residual.symmetric
+
     def begin(self) -> None:
         """Take the data as they are now, and u as the start.
 
@@ -246,6 +250,8 @@ class ComponentSystem(System):
         self.set_reference(np.where(self.fixed, self.given, self.between(self._u.x.array[: self.owned])))
         law.assemble()
         law.take_stiffness(self.A)
+        if self.affine:
+            self._residual.look_again(law.stiffness)
         forces = law.forces_at(self.u)
         if total(self.comm, ~np.isfinite(forces + law.scales)) > 0:
             raise InputError(f"{self.source} F or its derivative is not finite at the start: is a coefficient in it?")

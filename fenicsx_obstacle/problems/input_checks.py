@@ -172,7 +172,7 @@ def warn_of_conditions(bcs: Sequence[Any], comm: MPI.Comm, place: str) -> None:
 
 
 def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
-    """Local facets of a measure (collective).
+    """Owned facets of a measure (collective).
 
     Raises:
         InputError: If it is no measure of facets of this mesh, or has no facets.
@@ -182,15 +182,19 @@ def facets_of(measure: Any, mesh: dmesh.Mesh, name: str) -> np.ndarray:
         raise InputError(f"{name}: measure = {shown(measure)}: expected ds or dS, of facets where contact can be")
     check_measure(measure, mesh, f"{name}: measure")
     tags, ids = measure.subdomain_data(), measure.subdomain_id()
-    if ids_of(measure) == ("everywhere",):
-        mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
-        found = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
-    elif not hasattr(tags, "find"):
-        raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
-    else:
-        found = np.unique(np.concatenate([tags.find(number) for number in ids_of(measure)])).astype(np.int32)
+    mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
+    boundary = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
+    found = np.arange(mesh.topology.index_map(mesh.topology.dim - 1).size_local, dtype=np.int32)
+    if ids_of(measure) != ("everywhere",):
+        if not hasattr(tags, "find"):
+            raise InputError(f"{name}: measure has the tag {ids} without MeshTags: give it subdomain_data=")
+        found = np.intersect1d(found, np.concatenate([tags.find(number) for number in ids_of(measure)]))
+    # as in integrals, a tag of ds has no facets inside, and one of dS none of the boundary
+    keep = np.intersect1d if measure.integral_type() == "exterior_facet" else np.setdiff1d
+    found = keep(found, boundary).astype(np.int32)
     if total(mesh.comm, len(found)) == 0:
-        raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}")
+        kinds_of_facets = "ds is for facets of the boundary, and dS for those inside"
+        raise InputError(f"{name}: measure has no facets: no facet is tagged {ids}; {kinds_of_facets}")
     return found
 
 

@@ -105,6 +105,7 @@ class ObstacleProblem:
     name = "ObstacleProblem"  # in messages
     _vector_valued = False
     _von_mises: Callable[[], fem.Function] | None = None
+    _once: tuple[ufl.Form, dict[Any, np.ndarray]] | None = None  # what is evaluated once, and the values in it
     _components: ComponentSystem | None = None  # where lower or upper is a dict
 
     @names_checked
@@ -229,6 +230,9 @@ class ObstacleProblem:
             data = Data(model, level, bcs=held, live=True)
         with naming_compiler_errors(mesh.comm, name):
             self._set_up(data, u, residual, petsc_options_prefix, petsc_options, compiled)
+            if self._vector_valued:
+                once = (of if weight is None else weight * of) * ufl.ds(domain=mesh)
+                self._once = once, _values_in(once)
             if energy is not None:
                 with releases.compiled_with(*compiled):
                     check_energy(self._problem, self._diagonal(), residual, name)
@@ -394,9 +398,25 @@ class ObstacleProblem:
 
         if self._components is not None:
             raise InputError(f"{self.name}: verify is not for bounds of components")
-        check_not_moved(self.level, self._vertices, self.name)
+        self._check_kept()
         with releases.compiled_with(*self._compiled):
             return verify(self._problem, solution, self._of_contact(solution) if self._vector_valued else None)
+
+    def _check_kept(self) -> None:
+        """Reject changes of what is evaluated once (collective).
+
+        Raises:
+            InputError: On all ranks, with the remedy.
+        """
+        check_not_moved(self.level, self._vertices, self.name)
+        if self._once is not None:
+            form, before = self._once
+            now = {one: value for one, value in _values_in(form).items() if one is not self.u}
+            if total(self.level.comm, any(not np.array_equal(now[one], before[one]) for one in now)) > 0:
+                raise InputError(
+                    f"{self.name}: a value in `of` or in the factor of measure has changed, but they are evaluated "
+                    "once: move it to lower or upper, or create a new ObstacleProblem"
+                )
 
     def _of_contact(self, solution: Solution) -> Callable[[Contact], tuple[Any, dict[str, Any]]]:
         """Makes the fields of a body, and what its record says of contact, from the state of the problem."""
@@ -438,7 +458,7 @@ class ObstacleProblem:
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> tuple[Outcome, State]:
         """Solve, into u (collective)."""
         garbage.free_unreferenced(self.level.comm)  # such as the solver of the solve before the last one
-        check_not_moved(self.level, self._vertices, self.name)
+        self._check_kept()
         options = self._options_of(eps, method, rtol, monitor)
         with self._settings():
             self._begin()

@@ -161,16 +161,19 @@ def facets_and_weight(measure: Any, mesh: dmesh.Mesh, name: str) -> tuple[np.nda
     weight = None
     if isinstance(measure, ufl.Form):
         integrals = measure.integrals()
-        weight = integrals[0].integrand()
-        if measure.arguments() or any(one.integrand() != weight for one in integrals):
+        weight, tags, kind = integrals[0].integrand(), integrals[0].subdomain_data(), integrals[0].integral_type()
+        ids = [number for one in integrals for number in ids_of(one)]
+        alike = all(one.integrand() == weight and one.subdomain_data() is tags and one.integral_type() == kind
+                    for one in integrals)  # fmt: skip
+        once = len(set(ids)) == len(ids) and ("everywhere" not in ids or len(ids) == 1)
+        if measure.arguments() or not (alike and once):
             raise InputError(f"{name}: measure = {shown(measure)}: {wanted}")
         if foreign(weight, mesh.ufl_domain()):
             raise InputError(f"{name}: the factor of measure is of another mesh than u")
         check_real(weight, f"{name}: the factor of measure")
         for one in integrals:
             check_measure(one, mesh, f"{name}: measure")
-        ids = [number for one in integrals for number in ids_of(one)]
-        measure = ufl.Measure(integrals[0].integral_type(), domain=mesh, subdomain_data=integrals[0].subdomain_data())
+        measure = ufl.Measure(kind, domain=mesh, subdomain_data=tags)
         measure = measure if "everywhere" in ids else measure(tuple(ids))
     if not isinstance(measure, ufl.Measure) or measure.integral_type() != "exterior_facet":
         raise InputError(f"{name}: u is vector-valued: measure = {shown(measure)}: {wanted}")
