@@ -246,6 +246,17 @@ def test_a_table_of_heights(along, folder):
     assert np.allclose(moved, found, atol=1e-6 * abs(found[1]))
 
 
+def test_a_table_in_other_units():
+    """Lengths of 1e-9 multiply the forces per thickness by 1e-9, also where the gap is not vertical."""
+    x, forces = np.array([-2.0, 3.0]), []
+    for size in (1.0, 1e-9):
+        above = {"table": Table(x=size * x, z=size * (1.06 - 0.1 * x)), "along": [1, 1]}
+        mesh = {"shape": "rectangle", "x": [0, size], "y": [0, size], "cells": 4}
+        scene = block(boundary=[*ROLLERS, {"on": "top", "obstacle": above}], mesh=mesh)
+        forces.append(solve(scene).force.resultant / size)
+    assert np.allclose(forces[1], forces[0], rtol=1e-6) and forces[0][1] < -1e-3
+
+
 def stl(path, low, high):
     """A box as a text file of facets whose normals point outwards."""
     corners = np.array(np.meshgrid(*zip(low, high, strict=True), indexing="ij")).reshape(3, 2, 2, 2)
