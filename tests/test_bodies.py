@@ -3,6 +3,7 @@
 import csv
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from fenicsx_obstacle import (
 from fenicsx_obstacle.answers.bodies import _nodes_across
 from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.scenes.rigid_surfaces import facets_gap
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.show.render import axes_of_view
@@ -286,6 +288,21 @@ def test_a_surface_of_facets(folder):
     assert np.allclose(resultant("space", {**moved, "force": -wide[2]}), wide, atol=1e-6 * abs(wide[2]))
     with pytest.raises(InputError, match="normals of an STL surface must point out of the obstacle"):
         resultant("space", {"stl": {"file": str(folder / "inside_out.stl")}})
+
+
+def test_facets_far_from_the_origin():
+    """Round-off of coordinates does not decide whether the normals of a closed surface point outwards."""
+    corners = np.array([[1.1, 1.3, 1.7], [-1.2, -1.1, 1.6], [-1.3, 1.2, -1.4], [1.4, -1.5, -1.2]])
+    outwards, found = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]], []
+    for place in np.linspace(1e6, 2e6, 9):
+        body = np.array([[place, place / 3, -5.0 + place / 7]])
+        for facets in (outwards, outwards[:, ::-1]):
+            surface = SimpleNamespace(facets=facets + body + [0, 0, 5], source="tip.stl")
+            try:
+                found.append(facets_gap(surface, COMM, body, np.array([[0.0, 0.0, 1.0]]))(np.zeros(3))[0])
+            except InputError:
+                found.append(np.nan)
+    assert np.allclose(found[::2], found[0], rtol=1e-6) and 3 < found[0] < 5 and np.isnan(found[1::2]).all()
 
 
 @pytest.mark.slow

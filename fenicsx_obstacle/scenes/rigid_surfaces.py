@@ -104,7 +104,7 @@ def facets_gap(
     assert surface.facets is not None
     facets, across = surface.facets, null_space(direction[None])
     outward = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
-    volume = np.sum(facets[:, 0] * np.cross(facets[:, 1], facets[:, 2])) / 6
+    volume = np.sum((facets[:, 0] - facets[0, 0]) * outward) / 6  # heights of pyramids with one apex
     closed = np.linalg.norm(outward.sum(axis=0)) < CLOSED * np.linalg.norm(outward, axis=1).sum()
     inside_out = closed and volume < 0
     corners = facets[(outward @ direction < 0) & (not inside_out)].reshape(-1, 3)
