@@ -372,6 +372,13 @@ def test_the_last_moment_is_shown_as_it_is():
     assert answer.shown.u is answer.u and answer.shown.title.endswith(", t = 2")
 
 
+def test_a_load_that_decays_slowly():
+    """Steps that each lose less than the force may differ by add up: the moment that is shown is near the largest."""
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.01*(1 - 4e-7*t)"}
+    answer = solve(block(2, [*ROLLERS, {"on": "top", "obstacle": stamp}], time={"end": 6, "steps": 6}))
+    assert answer.record["time"]["largest"] == 2
+
+
 @pytest.mark.slow
 def test_saved_and_read(folder):
     """A saved answer is the same when it is read, with its scene; nodes.csv has the contact nodes."""
