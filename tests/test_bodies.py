@@ -150,6 +150,17 @@ def test_a_force_that_is_given():
     assert "approach" in answer.summary()
 
 
+@pytest.mark.parametrize("at", [1, 1.1])
+def test_a_force_on_a_body_that_is_lifted(at):
+    """Given displacements lift the body, so that the obstacle stops before it reaches the body at rest: it has moved by
+    gap - lift + F/E + eps F."""
+    lift, force, eps = 0.05, 0.01, 1e-6
+    stamp = {"plane": [0, -1], "at": [0, at], "force": force, "moves": [0, -1]}
+    parts = [ROLLERS[0], {"on": "bottom", "value": ["free", lift]}, {"on": "top", "obstacle": stamp}]
+    answer = solve(block(2, parts, {**LAW, "poisson": 0}, report={"approach": "approach"}), eps=eps)
+    assert np.isclose(answer.report["approach"], at - 1 - lift + force * (1 + eps), atol=1e-9)
+
+
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1", "Q2"])
 @pytest.mark.parametrize("spring", [5, [5, 0]])
 def test_a_rod_on_a_spring(element, spring):
