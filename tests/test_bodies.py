@@ -3,6 +3,7 @@
 import csv
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from fenicsx_obstacle import (
 from fenicsx_obstacle.answers.bodies import _nodes_across
 from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.io.folder import gather
+from fenicsx_obstacle.scenes.rigid_surfaces import facets_gap
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.show.render import axes_of_view
@@ -148,6 +150,17 @@ def test_a_force_that_is_given():
     assert "approach" in answer.summary()
 
 
+@pytest.mark.parametrize("at", [1, 1.1])
+def test_a_force_on_a_body_that_is_lifted(at):
+    """Given displacements lift the body, so that the obstacle stops before it reaches the body at rest: it has moved by
+    gap - lift + F/E + eps F."""
+    lift, force, eps = 0.05, 0.01, 1e-6
+    stamp = {"plane": [0, -1], "at": [0, at], "force": force, "moves": [0, -1]}
+    parts = [ROLLERS[0], {"on": "bottom", "value": ["free", lift]}, {"on": "top", "obstacle": stamp}]
+    answer = solve(block(2, parts, {**LAW, "poisson": 0}, report={"approach": "approach"}), eps=eps)
+    assert np.isclose(answer.report["approach"], at - 1 - lift + force * (1 + eps), atol=1e-9)
+
+
 @pytest.mark.parametrize("element", ["P1", "P2", "Q1", "Q2"])
 @pytest.mark.parametrize("spring", [5, [5, 0]])
 def test_a_rod_on_a_spring(element, spring):
@@ -246,6 +259,17 @@ def test_a_table_of_heights(along, folder):
     assert np.allclose(moved, found, atol=1e-6 * abs(found[1]))
 
 
+def test_a_table_in_other_units():
+    """Lengths of 1e-9 multiply the forces per thickness by 1e-9, also where the gap is not vertical."""
+    x, forces = np.array([-2.0, 3.0]), []
+    for size in (1.0, 1e-9):
+        above = {"table": Table(x=size * x, z=size * (1.06 - 0.1 * x)), "along": [1, 1]}
+        mesh = {"shape": "rectangle", "x": [0, size], "y": [0, size], "cells": 4}
+        scene = block(boundary=[*ROLLERS, {"on": "top", "obstacle": above}], mesh=mesh)
+        forces.append(solve(scene).force.resultant / size)
+    assert np.allclose(forces[1], forces[0], rtol=1e-6) and forces[0][1] < -1e-3
+
+
 def stl(path, low, high):
     """A box as a text file of facets whose normals point outwards."""
     corners = np.array(np.meshgrid(*zip(low, high, strict=True), indexing="ij")).reshape(3, 2, 2, 2)
@@ -275,6 +299,21 @@ def test_a_surface_of_facets(folder):
     assert np.allclose(resultant("space", {**moved, "force": -wide[2]}), wide, atol=1e-6 * abs(wide[2]))
     with pytest.raises(InputError, match="normals of an STL surface must point out of the obstacle"):
         resultant("space", {"stl": {"file": str(folder / "inside_out.stl")}})
+
+
+def test_facets_far_from_the_origin():
+    """Round-off of coordinates does not decide whether the normals of a closed surface point outwards."""
+    corners = np.array([[1.1, 1.3, 1.7], [-1.2, -1.1, 1.6], [-1.3, 1.2, -1.4], [1.4, -1.5, -1.2]])
+    outwards, found = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]], []
+    for place in np.linspace(1e6, 2e6, 9):
+        body = np.array([[place, place / 3, -5.0 + place / 7]])
+        for facets in (outwards, outwards[:, ::-1]):
+            surface = SimpleNamespace(facets=facets + body + [0, 0, 5], source="tip.stl")
+            try:
+                found.append(facets_gap(surface, COMM, body, np.array([[0.0, 0.0, 1.0]]))(np.zeros(3))[0])
+            except InputError:
+                found.append(np.nan)
+    assert np.allclose(found[::2], found[0], rtol=1e-6) and 3 < found[0] < 5 and np.isnan(found[1::2]).all()
 
 
 @pytest.mark.slow
@@ -342,6 +381,13 @@ def test_the_last_moment_is_shown_as_it_is():
     answer = solve(scene, element="P2")
     assert answer.record["time"]["largest"] == 2 and not answer.time_history.frames
     assert answer.shown.u is answer.u and answer.shown.title.endswith(", t = 2")
+
+
+def test_a_load_that_decays_slowly():
+    """Steps that each lose less than the force may differ by add up: the moment that is shown is near the largest."""
+    stamp = {"plane": [0, -1], "at": [0, 1], "moves": [0, -1], "travel": "0.01*(1 - 4e-7*t)"}
+    answer = solve(block(2, [*ROLLERS, {"on": "top", "obstacle": stamp}], time={"end": 6, "steps": 6}))
+    assert answer.record["time"]["largest"] == 2
 
 
 @pytest.mark.slow

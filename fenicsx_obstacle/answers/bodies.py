@@ -152,7 +152,7 @@ class BodyContext:
             course.add(t, counts, figures, partial(frame_of, solution.fields))
             force = float(np.abs(solution.nodes.pressure) @ solution.nodes.areas)
             if force >= (1 - SAME_FORCE) * largest:
-                most, largest, loaded = t, force, solution
+                most, largest, loaded = t, max(force, largest), solution
             t = course.following(moments.step)
         if loaded is not None and loaded is not solution and all(frame.t != most for frame in course.frames):
             course.frames = sorted([*course.frames, Frame(most, frame_of(loaded.fields))], key=lambda frame: frame.t)

@@ -330,6 +330,10 @@ class Body:
                     break
             else:
                 travel = low[0] - low[1] * (high[0] - low[0]) / (high[1] - low[1])
+                if low[0] == touching and travel - touching <= SAME * self.data.extent:
+                    low = (np.nan, np.nan)  # other loads press the body against it where it touches the body at rest
+                if np.isnan(low[0]):
+                    travel, step = high[0] - step, 2 * step
         raise InputError(f"{place} = {obstacle.force:g}: is not reached; does the obstacle move towards the body?")
 
     def _move(self, one: Facing, travel: float) -> None:

@@ -65,7 +65,7 @@ def table_gap(
     if points.shape[1] == 2 and not heights.along_x:
         raise InputError(f"{heights.source}: in the plane a table has the columns x, z alone")
     where = points - shift
-    up, size = normals[:, -1], 1.0 + np.abs(where).max(initial=0.0)
+    up, size = normals[:, -1], largest(comm, np.abs(where))
     found, bad, moves = np.zeros(len(points)), np.abs(up) <= ALONG, np.ones(len(points), dtype=bool)
     for _ in range(MOST_STEPS):
         if bad.any() or not moves.any():
@@ -74,7 +74,7 @@ def table_gap(
         x[: points.shape[1] - 1] = (where + found[:, None] * normals).T[:-1]
         before, found = found, (heights.at(x, {}) - where[:, -1]) / up
         bad = np.isnan(found)  # outside the data
-        moves = np.abs(found - before) > SETTLED * size
+        moves = np.abs(found - before) > SETTLED * (size + np.abs(found))
     with agree(comm):
         if (bad | moves).any():
             place = ", ".join(f"{x:.6g}" for x in points[np.argmax(bad if bad.any() else moves)])
@@ -104,7 +104,7 @@ def facets_gap(
     assert surface.facets is not None
     facets, across = surface.facets, null_space(direction[None])
     outward = np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0])
-    volume = np.sum(facets[:, 0] * np.cross(facets[:, 1], facets[:, 2])) / 6
+    volume = np.sum((facets[:, 0] - facets[0, 0]) * outward) / 6  # heights of pyramids with one apex
     closed = np.linalg.norm(outward.sum(axis=0)) < CLOSED * np.linalg.norm(outward, axis=1).sum()
     inside_out = closed and volume < 0
     corners = facets[(outward @ direction < 0) & (not inside_out)].reshape(-1, 3)
