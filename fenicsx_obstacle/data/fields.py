@@ -155,9 +155,6 @@ class _Piecewise(Enclosed):
         defined = np.isfinite(low) & np.isfinite(high)
         return Bounds(low, high, np.full(len(every), self.degree), np.ones(len(every), dtype=bool), defined)
 
-    def some(self, cells: np.ndarray) -> _Piecewise:
-        return _Piecewise(self.function, self.degree, self.corners[cells], self.cells[cells])
-
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         points = polynomials.inner_points(self.corners.shape[1], degree)
         x, dim = np.zeros((len(cells) * len(points), 3)), self.corners.shape[2]

@@ -96,10 +96,6 @@ class Enclosed(ABC):
     def once(self) -> Bounds:
         """Bounds over each simplex."""
 
-    @abstractmethod
-    def some(self, cells: np.ndarray) -> Enclosed:
-        """The same on some of the simplices."""
-
     def truth(self) -> Truth:
         """Whether it may be true and may be false as a condition; numbers other than 0 are true."""
         found = self.once()

@@ -72,9 +72,6 @@ class _ClippedCells(Enclosed):
             bounds.defined, beyond, bounds,
         )  # fmt: skip
 
-    def some(self, cells: np.ndarray) -> _ClippedCells:
-        return _ClippedCells(self.known.some(cells), self.by, self.corners[cells])
-
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A linear function that is not cut off is no farther from what is left of the obstacle."""
         at_corners, rest, steep = self.known.linear(cells)

@@ -78,9 +78,6 @@ class _Constant(Enclosed):
         every = np.ones(len(self.corners), dtype=bool)
         return Bounds(self.number * every, self.number * every, 0 * every, every, every)
 
-    def some(self, cells: np.ndarray) -> _Constant:
-        return _Constant(self.corners[cells], self.number)
-
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         return np.full((len(cells), degree + 1), self.number)
 
@@ -116,10 +113,6 @@ class _CurvedCells(Enclosed):
         upper = bounds.upper - polynomials.row_min(B) + margin
         degree, slopes = np.maximum(bounds.degree, 2), (steep, steep / self.length)
         return _CurvedBounds(lower, upper, degree, bounds.whole, bounds.defined, bounds, slopes)
-
-    def some(self, cells: np.ndarray) -> _CurvedCells:
-        return _CurvedCells(self.known.some(cells), self.corners[cells],
-                            self.ends[cells], self.bubble[cells], self.length[cells])  # fmt: skip
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """With the chord of B, which is b s^2 from it at most where t grows by s."""

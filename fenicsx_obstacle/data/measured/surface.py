@@ -95,9 +95,6 @@ class OnSurface(Enclosed):
     def once(self) -> SurfaceBounds:
         return self.surface.bounds(self.corners)
 
-    def some(self, cells: np.ndarray) -> OnSurface:
-        return OnSurface(self.surface, self.corners[cells])
-
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         corners = self.corners[cells]
         if not len(cells):
