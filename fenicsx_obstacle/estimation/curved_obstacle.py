@@ -83,15 +83,6 @@ class _Constant(Enclosed):
 
 
 @dataclass(frozen=True, eq=False)
-class _CurvedBounds(Bounds):
-    known: Bounds
-    slopes: tuple[np.ndarray, ...]
-
-    def derivative(self, k: int) -> np.ndarray:
-        return self.known.derivative(k) + (self.slopes[k - 1] if k <= len(self.slopes) else 0.0)
-
-
-@dataclass(frozen=True, eq=False)
 class _CurvedCells(Enclosed):
     """Parts of intervals, with t at their ends, and b and the length of the intervals."""
 
@@ -111,8 +102,9 @@ class _CurvedCells(Enclosed):
         steep = 4 * np.abs(self.bubble) / self.length
         lower = bounds.lower - polynomials.row_max(B) - margin
         upper = bounds.upper - polynomials.row_min(B) + margin
-        degree, slopes = np.maximum(bounds.degree, 2), (steep, steep / self.length)
-        return _CurvedBounds(lower, upper, degree, bounds.whole, bounds.defined, bounds, slopes)
+        of_bubble, degree = {1: steep, 2: steep / self.length}, np.maximum(bounds.degree, 2)
+        return Bounds(lower, upper, degree, bounds.whole, bounds.defined,
+                      lambda k: bounds.derivative(k) + of_bubble.get(k, 0.0))  # fmt: skip
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """With the chord of B, which is b s^2 from it at most where t grows by s."""
