@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
-from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.enclosed_data import Division
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.pieces import Pieces
@@ -135,14 +133,9 @@ class CurvedExcess(ObstacleExcess):
         Args:
             linear: u_1 at local dofs.
         """
-        self._itself = field
         low, high = np.minimum(-bubble, 0.0), np.maximum(-bubble, 0.0)
         shifted = Pieces([], known.lower + low, known.upper + high, known.sampled)
-        super().__init__(simplices, dirichlet, sign, Curved(field, simplices, bubble), shifted)
+        super().__init__(simplices, dirichlet, sign, field, shifted)
+        self._field, self._flat = Curved(field, simplices, bubble), False
         self.nodal = np.maximum(self.floor, sign * linear)
         self._compare(shifted)
-
-    def heights(self, data: Data) -> np.ndarray:
-        """See `CoveredObstacle.heights`."""
-        heights = data.heights(self.sign)
-        return self._itself.clip(heights) if isinstance(self._itself, Clipped) else heights
