@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
+from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Group, Pieces
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
@@ -372,10 +372,6 @@ class _Samples(Enclosed):
         whole = np.ptp(samples, axis=1) <= SHARP * np.abs(samples).max(axis=1, initial=0.0)
         lower, upper = samples.min(axis=1, initial=np.inf), samples.max(axis=1, initial=-np.inf)
         return Bounds(lower, upper, np.full(len(samples), 4), whole, np.isfinite(samples).all(axis=1))
-
-    def truth(self) -> Truth:
-        unknown = np.ones(len(self.corners), dtype=bool)
-        return Truth(unknown, unknown)
 
     def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
         points = polynomials.inner_points(self.corners.shape[1], degree)
