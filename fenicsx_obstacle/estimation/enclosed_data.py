@@ -19,7 +19,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.pieces import Group, Pieces
+from fenicsx_obstacle.estimation.pieces import Group, Pieces, joined
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
 from fenicsx_obstacle.estimation.simplex_geometry import least_heights, sizes
 from fenicsx_obstacle.mesh.cells import longest_edges
@@ -113,14 +113,9 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
 
 def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
     """The same, block by block of `FEW` simplices."""
-    slices = list(blocks(len(corners), FEW))
-    found = [pieces_of(data, datum, corners[block], cells[block], division) for block in slices]
-    return Pieces(
-        [replace(group, rows=group.rows + block.start) for block, one in zip(slices, found, strict=True)
-         for group in one.groups],
-        np.concatenate([one.lower for one in found]), np.concatenate([one.upper for one in found]),
-        any(one.sampled for one in found), np.concatenate([one.rough for one in found]),
-    )  # fmt: skip
+    every = np.arange(len(corners))
+    slices = [every[block] for block in blocks(len(corners), FEW)]
+    return joined([(rows, pieces_of(data, datum, corners[rows], cells[rows], division)) for rows in slices], len(every))
 
 
 def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
