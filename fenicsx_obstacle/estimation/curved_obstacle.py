@@ -47,11 +47,7 @@ class Curved(Field):
         return self.obstacle.at(x, names, cells) - _bubble(self._bubble[cells], self._places(x[0], cells))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        known: Enclosed | None
-        if self.obstacle.uniform:
-            known = _Constant(corners, self.obstacle.at(np.zeros((3, 1)), names)[0])
-        else:
-            known = self.obstacle.over(corners, names, cells)
+        known = self.obstacle.over(corners, names, cells)
         if known is None:
             return None
         ends = self._places(corners[:, :, 0].T, cells).T
@@ -63,21 +59,6 @@ class Curved(Field):
 
 def _bubble(b: np.ndarray, t: np.ndarray) -> np.ndarray:
     return 4 * b * t * (1 - t)
-
-
-@dataclass(frozen=True, eq=False)
-class _Constant(Enclosed):
-    """The same number everywhere."""
-
-    corners: np.ndarray
-    number: float
-
-    def once(self) -> Bounds:
-        every = np.ones(len(self.corners), dtype=bool)
-        return Bounds(self.number * every, self.number * every, 0 * every, every, every)
-
-    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
-        return np.full((len(cells), degree + 1), self.number)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fenicsx_obstacle import polynomials
+from fenicsx_obstacle.data.fields import Evaluated
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.pieces import Group, Pieces, joined
@@ -120,7 +121,7 @@ def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray,
 
 def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
     """A datum on simplices; samples of it where no bounds are known."""
-    return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
+    return here.over(corners, names, cells) or _Samples(here, 4, corners, names, cells)
 
 
 def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Pieces:
@@ -353,23 +354,11 @@ def _steepness(corners: int, degree: int, size: np.ndarray, height: np.ndarray, 
     return np.divide(steep, height, out=np.full(len(steep), np.inf), where=height > 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples(Enclosed):
+class _Samples(Evaluated):
     """What samples show of a datum of which no bounds are known; of conditions they show nothing."""
 
-    here: Field
-    corners: np.ndarray
-    names: Names
-    cells: np.ndarray
-
     def once(self) -> Bounds:
-        samples = self.values(4, np.arange(len(self.corners)))
+        samples = self.values(self.degree, np.arange(len(self.corners)))
         whole = np.ptp(samples, axis=1) <= SHARP * np.abs(samples).max(axis=1, initial=0.0)
         lower, upper = samples.min(axis=1, initial=np.inf), samples.max(axis=1, initial=-np.inf)
-        return Bounds(lower, upper, np.full(len(samples), 4), whole, np.isfinite(samples).all(axis=1))
-
-    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
-        points = polynomials.inner_points(self.corners.shape[1], degree)
-        x, dim = np.zeros((3, len(cells) * len(points))), self.corners.shape[2]
-        x[:dim] = (points @ self.corners[cells]).reshape(-1, dim).T
-        return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
+        return Bounds(lower, upper, np.full(len(samples), self.degree), whole, np.isfinite(samples).all(axis=1))
