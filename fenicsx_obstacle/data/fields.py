@@ -73,6 +73,36 @@ class Symbols:
         self.made: dict[Any, Any] = {}
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluated(Enclosed):
+    """A datum by its values at points of simplices, on each of which it is a polynomial of one degree.
+
+    Attributes:
+        here: The datum on the mesh.
+        degree: Of the polynomials.
+        names: As for `Field.at`.
+        cells: The local cell that each simplex lies in.
+    """
+
+    here: Field
+    degree: int
+    corners: np.ndarray
+    names: Names
+    cells: np.ndarray
+
+    def once(self) -> Bounds:
+        every = np.arange(len(self.cells))
+        low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
+        defined = np.isfinite(low) & np.isfinite(high)
+        return Bounds(low, high, np.full(len(every), self.degree), np.ones(len(every), dtype=bool), defined)
+
+    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
+        points = polynomials.inner_points(self.corners.shape[1], degree)
+        x, dim = np.zeros((3, len(cells) * len(points))), self.corners.shape[2]
+        x[:dim] = (points @ self.corners[cells]).reshape(-1, dim).T
+        return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), len(points))
+
+
 class Number(Field):
     """A number, or the value that a Constant has when it is asked for."""
 
@@ -95,6 +125,9 @@ class Number(Field):
 
     def on(self, level: Level) -> Field:
         return Number(self._number, self.source)  # a Constant may have another value later
+
+    def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed:
+        return Evaluated(self, 0, corners, names, cells)
 
     def expression(self, symbols: Symbols) -> Any:
         return self.value + symbols.zero
@@ -138,33 +171,6 @@ class OfCallable(Field):
         with agree(V.mesh.comm):
             values = self._values(x, names)
         return values
-
-
-@dataclass(frozen=True, eq=False)
-class _Piecewise(Enclosed):
-    """A Function on parts of cells, which no condition cuts."""
-
-    function: fem.Function
-    degree: int
-    corners: np.ndarray
-    cells: np.ndarray
-
-    def once(self) -> Bounds:
-        every = np.arange(len(self.cells))
-        low, high = polynomials.bounds(self.values(self.degree, every), self.corners.shape[1], self.degree)
-        defined = np.isfinite(low) & np.isfinite(high)
-        return Bounds(low, high, np.full(len(every), self.degree), np.ones(len(every), dtype=bool), defined)
-
-    def some(self, cells: np.ndarray) -> _Piecewise:
-        return _Piecewise(self.function, self.degree, self.corners[cells], self.cells[cells])
-
-    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
-        points = polynomials.inner_points(self.corners.shape[1], degree)
-        x, dim = np.zeros((len(cells) * len(points), 3)), self.corners.shape[2]
-        x[:, :dim] = (points @ self.corners[cells]).reshape(-1, dim)
-        if not len(cells):
-            return np.empty((0, len(points)))
-        return self.function.eval(x, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
 
 
 class OfFunction(Field):
@@ -244,7 +250,7 @@ class OfFunction(Field):
         degree = releases.polynomial_degree(self.function.function_space)
         if self._interpolated or degree is None or degree > polynomials.MAX_DEGREE:
             return None
-        return _Piecewise(self.function, degree, corners, cells)
+        return Evaluated(self, degree, corners, names, cells)
 
     def expression(self, symbols: Symbols) -> Any:
         return self.function + symbols.zero

@@ -112,6 +112,18 @@ class MeshSystem(System):
         """The same of pressures, whose Q_h may have more nodes (collective)."""
         return self.in_q(p)
 
+    def elastic_at(self, w: np.ndarray) -> np.ndarray:
+        """a(w + r, .) - f at owned dofs for this w; the state stays as it is (collective)."""
+        kept, out = self.w.copy(), self.law.vector()
+        self.w[:] = w
+        self.state.share()
+        self.law.elastic(out)
+        self.w[:] = kept
+        self.state.share()
+        found = out.array_r.copy()
+        out.destroy()
+        return found
+
     def solution(self) -> fem.Function:
         """u = w + r."""
         u = fem.Function(self.level.V, name="u")

@@ -7,8 +7,8 @@ a scene are another class of it, and a plug-in may have one of its own.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ class Bounds:
         degree: As a polynomial where it is `whole`; `NO_POLYNOMIAL` or more if it is none.
         whole: Whether no condition cuts a simplex.
         defined: Whether it has a value all over it.
+        slopes: Bounds of its derivatives by their order, see `derivative`.
     """
 
     lower: np.ndarray
@@ -39,6 +40,7 @@ class Bounds:
     degree: np.ndarray
     whole: np.ndarray
     defined: np.ndarray
+    slopes: Callable[[int], Any] = field(default=lambda k: np.inf, repr=False)
 
     @property
     def finite(self) -> np.ndarray:
@@ -48,7 +50,7 @@ class Bounds:
     def derivative(self, k: int) -> np.ndarray:
         """A bound of its derivative of order k = 1 .. 5 in any direction, divided by k!; where it is not `whole` the
         first alone holds, on both sides of what may be a kink or a jump."""
-        return np.full(len(self.lower), np.inf)
+        return np.broadcast_to(np.asarray(self.slopes(k)), self.lower.shape)
 
 
 @dataclass(frozen=True)
@@ -95,10 +97,6 @@ class Enclosed(ABC):
     @abstractmethod
     def once(self) -> Bounds:
         """Bounds over each simplex."""
-
-    @abstractmethod
-    def some(self, cells: np.ndarray) -> Enclosed:
-        """The same on some of the simplices."""
 
     def truth(self) -> Truth:
         """Whether it may be true and may be false as a condition; numbers other than 0 are true."""

@@ -46,15 +46,6 @@ class Clipped(Field):
 
 
 @dataclass(frozen=True, eq=False)
-class _ClippedBounds(Bounds):
-    beyond: np.ndarray
-    known: Bounds
-
-    def derivative(self, k: int) -> np.ndarray:
-        return np.where(self.beyond, 0.0, self.known.derivative(k))
-
-
-@dataclass(frozen=True, eq=False)
 class _ClippedCells(Enclosed):
     known: Enclosed
     by: Clipped
@@ -66,14 +57,11 @@ class _ClippedCells(Enclosed):
         near, far = (bounds.lower, bounds.upper) if self.by.sign > 0 else (bounds.upper, bounds.lower)
         beyond = self.by.sign * (far - limit) <= 0  # all of it is cut off
         cut = ~beyond & ~(self.by.sign * (near - limit) >= 0)
-        return _ClippedBounds(
+        return Bounds(
             self.by.clip(bounds.lower), self.by.clip(bounds.upper),
             np.where(beyond, 0, np.where(cut, NO_POLYNOMIAL, bounds.degree)), beyond | (bounds.whole & ~cut),
-            bounds.defined, beyond, bounds,
+            bounds.defined, lambda k: np.where(beyond, 0.0, bounds.derivative(k)),
         )  # fmt: skip
-
-    def some(self, cells: np.ndarray) -> _ClippedCells:
-        return _ClippedCells(self.known.some(cells), self.by, self.corners[cells])
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A linear function that is not cut off is no farther from what is left of the obstacle."""

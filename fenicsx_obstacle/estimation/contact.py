@@ -99,7 +99,7 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
     nodes in contact in the cells around them. Where the points of I are not nodes, the share is 1 in contact.
 
     Args:
-        problem: Holds the solution, and holds it afterwards.
+        problem: Holds the solution.
         pressure: Contact pressure at owned points of I.
         lower: Whether a point presses against the lower obstacle.
         upper: Whether it presses against the upper one.
@@ -107,25 +107,20 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
     shares = (lower | upper).astype(float)
     if not problem.constrained or not problem.level.pair.nodal:
         return shares
-    w, kept, gaps = problem.w, problem.w.copy(), problem.gaps()
-    here, there = problem.law.vector(), problem.law.vector()
-    problem.law.elastic(here)
+    w, gaps = problem.w, problem.gaps()
+    here = problem.elastic_at(w)
     for inside, obstacle, gap, sign in (
         (lower, problem.below, gaps[0], 1.0), (upper, problem.above, gaps[1], -1.0)
     ):  # fmt: skip
         if obstacle is None:
             continue
-        w -= np.where(~inside & (problem.weights > 0), sign * np.clip(gap, 0.0, NO_BOUND), 0.0)
-        problem.state.share()
-        problem.law.elastic(there)
-        w[:] = kept
-        problem.state.share()
+        there = problem.elastic_at(
+            w - np.where(~inside & (problem.weights > 0), sign * np.clip(gap, 0.0, NO_BOUND), 0.0)
+        )
         force = problem.weights[inside] * np.abs(pressure[inside])
         with np.errstate(invalid="ignore"):  # F may be infinite there
-            more = sign * (there.array_r - here.array_r)[inside]
+            more = sign * (there - here)[inside]
         shares[inside] = force / (force + np.where(np.isfinite(more), np.maximum(more, 0.0), 0.0))
-    for vector in (here, there):
-        vector.destroy()
     return shares if problem.data.thin else _with_boundary(problem, shares, np.minimum(*gaps))
 
 

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.boundary_data import BoundaryData
-from fenicsx_obstacle.estimation.clipped import Clipped
 from fenicsx_obstacle.estimation.enclosed_data import Division
 from fenicsx_obstacle.estimation.obstacle_excess import ObstacleExcess
 from fenicsx_obstacle.estimation.pieces import Pieces
@@ -49,11 +47,7 @@ class Curved(Field):
         return self.obstacle.at(x, names, cells) - _bubble(self._bubble[cells], self._places(x[0], cells))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        known: Enclosed | None
-        if self.obstacle.uniform:
-            known = _Constant(corners, self.obstacle.at(np.zeros((3, 1)), names)[0])
-        else:
-            known = self.obstacle.over(corners, names, cells)
+        known = self.obstacle.over(corners, names, cells)
         if known is None:
             return None
         ends = self._places(corners[:, :, 0].T, cells).T
@@ -65,33 +59,6 @@ class Curved(Field):
 
 def _bubble(b: np.ndarray, t: np.ndarray) -> np.ndarray:
     return 4 * b * t * (1 - t)
-
-
-@dataclass(frozen=True, eq=False)
-class _Constant(Enclosed):
-    """The same number everywhere."""
-
-    corners: np.ndarray
-    number: float
-
-    def once(self) -> Bounds:
-        every = np.ones(len(self.corners), dtype=bool)
-        return Bounds(self.number * every, self.number * every, 0 * every, every, every)
-
-    def some(self, cells: np.ndarray) -> _Constant:
-        return _Constant(self.corners[cells], self.number)
-
-    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
-        return np.full((len(cells), degree + 1), self.number)
-
-
-@dataclass(frozen=True, eq=False)
-class _CurvedBounds(Bounds):
-    known: Bounds
-    slopes: tuple[np.ndarray, ...]
-
-    def derivative(self, k: int) -> np.ndarray:
-        return self.known.derivative(k) + (self.slopes[k - 1] if k <= len(self.slopes) else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +81,9 @@ class _CurvedCells(Enclosed):
         steep = 4 * np.abs(self.bubble) / self.length
         lower = bounds.lower - polynomials.row_max(B) - margin
         upper = bounds.upper - polynomials.row_min(B) + margin
-        degree, slopes = np.maximum(bounds.degree, 2), (steep, steep / self.length)
-        return _CurvedBounds(lower, upper, degree, bounds.whole, bounds.defined, bounds, slopes)
-
-    def some(self, cells: np.ndarray) -> _CurvedCells:
-        return _CurvedCells(self.known.some(cells), self.corners[cells],
-                            self.ends[cells], self.bubble[cells], self.length[cells])  # fmt: skip
+        of_bubble, degree = {1: steep, 2: steep / self.length}, np.maximum(bounds.degree, 2)
+        return Bounds(lower, upper, degree, bounds.whole, bounds.defined,
+                      lambda k: bounds.derivative(k) + of_bubble.get(k, 0.0))  # fmt: skip
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """With the chord of B, which is b s^2 from it at most where t grows by s."""
@@ -150,14 +114,9 @@ class CurvedExcess(ObstacleExcess):
         Args:
             linear: u_1 at local dofs.
         """
-        self._itself = field
         low, high = np.minimum(-bubble, 0.0), np.maximum(-bubble, 0.0)
         shifted = Pieces([], known.lower + low, known.upper + high, known.sampled)
-        super().__init__(simplices, dirichlet, sign, Curved(field, simplices, bubble), shifted)
+        super().__init__(simplices, dirichlet, sign, field, shifted)
+        self._field, self._flat = Curved(field, simplices, bubble), False
         self.nodal = np.maximum(self.floor, sign * linear)
         self._compare(shifted)
-
-    def heights(self, data: Data) -> np.ndarray:
-        """See `CoveredObstacle.heights`."""
-        heights = data.heights(self.sign)
-        return self._itself.clip(heights) if isinstance(self._itself, Clipped) else heights

@@ -8,17 +8,19 @@ need not be cells of any mesh.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from math import factorial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names, Truth
+from fenicsx_obstacle.data.fields import Evaluated
+from fenicsx_obstacle.effects.field import Bounds, Enclosed, Field, Names
 from fenicsx_obstacle.estimation.parts import Parts
-from fenicsx_obstacle.estimation.pieces import Group, Pieces
+from fenicsx_obstacle.estimation.pieces import Group, Pieces, joined
 from fenicsx_obstacle.estimation.quadrature import AT_ONCE, blocks
 from fenicsx_obstacle.estimation.simplex_geometry import least_heights, sizes
 from fenicsx_obstacle.mesh.cells import longest_edges
@@ -38,6 +40,7 @@ DEEPEST = 8  # how often a part is divided on which no finite bounds are found
 MAX_PARTS = 200_000  # in a block of cells, or twice as many as it has cells
 FEW = 2000  # simplices that share such a limit, so that the parts of one do not depend on all others of the rank
 SHARP = 0.1  # of the largest value: what varies so much between samples may jump
+Enclose = Callable[[np.ndarray, np.ndarray], Enclosed]
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
         wanted, count = [], 0
         for block in blocks(len(parts.rows)):
             some = parts[block]
-            near = _Near(_enclosed(here, names, some.x, some.cells), some, division, continuous=datum.continuous)
+            near = _Near(partial(_enclosed, here, names), some, division, continuous=datum.continuous)
             found.sampled |= near.sampled
             open_ = near.open(division, some)
             found.rough[some.rows[open_]] = True
@@ -111,19 +114,14 @@ def pieces_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, 
 
 def _in_blocks(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray, division: Division) -> Pieces:
     """The same, block by block of `FEW` simplices."""
-    slices = list(blocks(len(corners), FEW))
-    found = [pieces_of(data, datum, corners[block], cells[block], division) for block in slices]
-    return Pieces(
-        [replace(group, rows=group.rows + block.start) for block, one in zip(slices, found, strict=True)
-         for group in one.groups],
-        np.concatenate([one.lower for one in found]), np.concatenate([one.upper for one in found]),
-        any(one.sampled for one in found), np.concatenate([one.rough for one in found]),
-    )  # fmt: skip
+    every = np.arange(len(corners))
+    slices = [every[block] for block in blocks(len(corners), FEW)]
+    return joined([(rows, pieces_of(data, datum, corners[rows], cells[rows], division)) for rows in slices], len(every))
 
 
 def _enclosed(here: Field, names: Names, corners: np.ndarray, cells: np.ndarray) -> Enclosed:
     """A datum on simplices; samples of it where no bounds are known."""
-    return here.over(corners, names, cells) or _Samples(here, corners, names, cells)
+    return here.over(corners, names, cells) or _Samples(here, 4, corners, names, cells)
 
 
 def range_of(data: Data, datum: Field, corners: np.ndarray, cells: np.ndarray) -> Pieces:
@@ -206,16 +204,17 @@ class _Near:
         steep: As in `Group`.
     """
 
-    def __init__(self, known: Enclosed, parts: Parts, division: Division, *, continuous: bool):
+    def __init__(self, enclosed: Enclose, parts: Parts, division: Division, *, continuous: bool):
         """Look for polynomials.
 
         Args:
-            known: The datum.
+            enclosed: Encloses the datum on simplices with these corners, in these cells.
             parts: Where.
             division: Says which interpolants are good enough.
             continuous: Whether it is, for sure.
         """
-        self._known, self._corners, self.sampled = known, parts.x.shape[1], isinstance(known, _Samples)
+        self._known = known = enclosed(parts.x, parts.cells)
+        self._corners, self.sampled = parts.size, isinstance(known, _Samples)
         bounds = known.once()
         within = replace(
             bounds, lower=np.maximum(bounds.lower, parts.least), upper=np.minimum(bounds.upper, parts.most)
@@ -232,7 +231,7 @@ class _Near:
             rows = np.flatnonzero(exact & (bounds.degree == degree))
             self._interpolate(int(degree), rows, np.zeros(len(rows)), np.zeros(len(rows)))
         if (smooth & ~exact).any():
-            self._smooth(np.flatnonzero(smooth & ~exact), bounds, parts.x, division)
+            self._smooth(np.flatnonzero(smooth & ~exact), bounds, enclosed, parts, division)
         others = self.finite & ~exact & (self.upper > self.lower)
         for _, chosen, _ in self._found:
             others[chosen] = False
@@ -248,9 +247,9 @@ class _Near:
     def _half(self) -> np.ndarray:
         return np.subtract(self.upper, self.lower, out=np.full(len(self.lower), np.inf), where=self.finite) / 2
 
-    def _smooth(self, rows: np.ndarray, bounds: Bounds, x: np.ndarray, division: Division) -> None:
+    def _smooth(self, rows: np.ndarray, bounds: Bounds, enclosed: Enclose, parts: Parts, division: Division) -> None:
         """Interpolants of degree 2 where they are good enough, of degree 4 elsewhere."""
-        x = x if len(rows) == len(x) else x[rows]
+        x = parts.x if len(rows) == len(parts.x) else parts.x[rows]
         size = longest_edges(x)
         height = least_heights(x, size)
         good = np.zeros(len(rows), dtype=bool)
@@ -265,7 +264,7 @@ class _Near:
             self._near(2, rows[good], third[good], size[good], height[good])
         far = ~good
         if far.any():
-            there = self._known.some(rows[far]).once() if good.any() else bounds
+            there = enclosed(x[far], parts.cells[rows[far]]).once() if good.any() else bounds
             second, fifth = (there.derivative(k) if good.any() else there.derivative(k)[rows] for k in (2, 5))
             kept = np.ones(len(fifth), dtype=bool)
             if division.slopes:  # linear functions with nearly the gradient of the datum need no height
@@ -355,30 +354,11 @@ def _steepness(corners: int, degree: int, size: np.ndarray, height: np.ndarray, 
     return np.divide(steep, height, out=np.full(len(steep), np.inf), where=height > 0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples(Enclosed):
+class _Samples(Evaluated):
     """What samples show of a datum of which no bounds are known; of conditions they show nothing."""
 
-    here: Field
-    corners: np.ndarray
-    names: Names
-    cells: np.ndarray
-
     def once(self) -> Bounds:
-        samples = self.values(4, np.arange(len(self.corners)))
+        samples = self.values(self.degree, np.arange(len(self.corners)))
         whole = np.ptp(samples, axis=1) <= SHARP * np.abs(samples).max(axis=1, initial=0.0)
         lower, upper = samples.min(axis=1, initial=np.inf), samples.max(axis=1, initial=-np.inf)
-        return Bounds(lower, upper, np.full(len(samples), 4), whole, np.isfinite(samples).all(axis=1))
-
-    def truth(self) -> Truth:
-        unknown = np.ones(len(self.corners), dtype=bool)
-        return Truth(unknown, unknown)
-
-    def some(self, cells: np.ndarray) -> _Samples:
-        return _Samples(self.here, self.corners[cells], self.names, self.cells[cells])
-
-    def values(self, degree: int, cells: np.ndarray) -> np.ndarray:
-        points = polynomials.inner_points(self.corners.shape[1], degree)
-        x, dim = np.zeros((3, len(cells) * len(points))), self.corners.shape[2]
-        x[:dim] = (points @ self.corners[cells]).reshape(-1, dim).T
-        return self.here.at(x, self.names, np.repeat(self.cells[cells], len(points))).reshape(len(cells), -1)
+        return Bounds(lower, upper, np.full(len(samples), self.degree), whole, np.isfinite(samples).all(axis=1))

@@ -88,7 +88,6 @@ class EquilibrationP1:
         parts: Fluxes and springs, and forces at vertices.
         points: Forces at points inside cells, on intervals.
         apart: Of the patches.
-        unknown: Effects that the bound does not know; with them all but tension and load are taken from their forms.
     """
 
     def __init__(self, simplices: Simplices, of_state: np.ndarray | None):
@@ -112,10 +111,10 @@ class EquilibrationP1:
             self._inverse = np.linalg.inv(self.matrix)
         self.pull = self.mu * (simplices.size / simplices.area)
         self.multipliers = Multipliers(simplices.around, simplices.area, self.pull, simplices.given, SWEEPS)
-        others = other_effects(data)
-        self.unknown = unknown_effects(data)
-        self._prepare_others(others if self.unknown else [])
-        known = [] if self.unknown else others
+        others, unknown = other_effects(data), unknown_effects(data)
+        # with an effect that the bound does not know all but tension and load are taken from their forms
+        self._prepare_others(others if unknown else [])
+        known = [] if unknown else others
         foundation = next((effect.value for effect in known if effect.role == "reaction"), None)
         self.points = PointForces(simplices, others)
         self.reaction = self._reaction(foundation)
@@ -178,9 +177,9 @@ class EquilibrationP1:
         dofs = releases.cell_dofs(self._moments_of_others.function_space)[: len(self.mu)]
         return load - self._moments_of_others.x.array[self.simplices.turned(dofs)]
 
-    def pulled(self, gradient: np.ndarray, cells: slice = slice(None)) -> np.ndarray:
+    def pulled(self, gradient: np.ndarray) -> np.ndarray:
         """The solver's tension times one vector per cell, shape (d, cells)."""
-        return gradient * self.pull[cells] if self.matrix is None else _times(self.matrix[cells], gradient)
+        return gradient * self.pull if self.matrix is None else _times(self.matrix, gradient)
 
     def weighted(self, vectors: np.ndarray) -> np.ndarray:
         """One vector per cell, shape (d, cells), divided by the tension: in this norm fluxes are near their targets."""

@@ -140,7 +140,7 @@ class EquilibrationP2:
         inside = inside + rest[:, :, None] * (area[:, None, None] * MASS)
         drops = (inside - K).sum(axis=2)
         R = K - inside  # int div sigma^a psi_j
-        pulls = self._pulls(u, gradient, K, R, drops)
+        pulls = self._pulls(gradient, K, R, drops)
         drops, *pulls = patches.gather(drops, *pulls)
         fluxes = patches.trees.walk(drops)
         before, after = -fluxes[:, 1], fluxes[:, 0]
@@ -166,9 +166,7 @@ class EquilibrationP2:
         forces = 4 * (K[:, j, k] + K[:, k, j] - self.load.moments[:, j, k])
         return np.where(self._multipliers.given, 0.0, self._middles.sums(forces) / self._multipliers.weights)
 
-    def _pulls(
-        self, u: np.ndarray, gradient: np.ndarray, K: np.ndarray, R: np.ndarray, drops: np.ndarray
-    ) -> list[np.ndarray]:
+    def _pulls(self, gradient: np.ndarray, K: np.ndarray, R: np.ndarray, drops: np.ndarray) -> list[np.ndarray]:
         """Products of the difference of each corner's flux and its target with the function of each unknown."""
         normal, mu = self.simplices.normal, self.mu
         found = []

@@ -7,7 +7,7 @@ bound means that nothing finite is known. Single points (lower == upper) are not
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, reduce
 from math import pi
 from operator import or_
@@ -32,18 +32,14 @@ class Enclosure(Bounds):
     Attributes:
         whole: Whether one expression without conditions gives it on the whole cell.
         defined: Whether no root or logarithm of a negative number can occur, nor a comparison with one.
-        slopes: Bounds of its derivatives; where it is not `whole` the first alone holds, on both sides of what may be a
-            kink or a jump.
         square: Of a root, what it is the root of.
     """
 
-    slopes: Series = field(default=NONE, repr=False)
     square: Enclosure | None = None
 
     def derivative(self, k: int) -> np.ndarray:
-        """A bound of its derivative of order k = 1 .. 5 in any direction, divided by k!."""
         with np.errstate(all="ignore"):
-            return np.broadcast_to(np.asarray(self.slopes(k)) * MARGIN, self.lower.shape)
+            return super().derivative(k) * MARGIN
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:

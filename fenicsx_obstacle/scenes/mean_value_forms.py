@@ -47,9 +47,6 @@ class OnCells(Enclosed):
         lower, upper, degree, whole, defined = (np.broadcast_to(part, self.cells.count) for part in found.parts)
         return Enclosure(lower, upper, degree, whole, defined, found.slopes)
 
-    def some(self, cells: np.ndarray) -> OnCells:
-        return OnCells(self.cells.of(cells), self.formula)
-
     def truth(self) -> Truth:
         with np.errstate(all="ignore"):
             return self._walk.condition(self.formula, self.formula.tree)

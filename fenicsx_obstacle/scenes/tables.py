@@ -381,7 +381,7 @@ def set_values(raw: dict[str, Any], changes: Mapping[str, Any], source: str) -> 
         if isinstance(table, dict):
             table[last] = value
         else:
-            table[_item(table, last, key, source, len(table))] = value
+            table[_item(last, key, source, len(table))] = value
     for key in changes:
         path, _, name = key.rpartition(".")
         used = re.compile(rf"\b{re.escape(name)}\b")
@@ -396,7 +396,7 @@ def _inner(table: Any, step: str, key: str, source: str) -> Any:
     if isinstance(table, dict):
         inner = table.setdefault(step, [] if step == "boundary" else {})
     else:
-        number = _item(table, step, key, source, len(table) + 1)
+        number = _item(step, key, source, len(table) + 1)
         if number == len(table):
             table.append({})
         inner = table[number]
@@ -408,7 +408,7 @@ def _inner(table: Any, step: str, key: str, source: str) -> Any:
     return inner
 
 
-def _item(items: list[Any], step: str, key: str, source: str, count: int) -> int:
+def _item(step: str, key: str, source: str, count: int) -> int:
     """The number of an item of a list, below `count`."""
     if not re.fullmatch(r"\d{1,4}", step) or int(step) >= count:
         wanted = f"; take a number from 0 to {count - 1}" if count else ", which is empty"

@@ -149,7 +149,7 @@ class TreeWalk:
             case ast.Name(id=name):
                 return self.name(name)
             case ast.BinOp(left=left, op=op, right=right):
-                return self._operation(formula, node, BINARY[type(op)], left, right)
+                return self._operation(formula, BINARY[type(op)], left, right)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 return intervals.negative(self.number(formula, operand))
             case ast.UnaryOp(operand=operand):
@@ -161,7 +161,7 @@ class TreeWalk:
                 return self._call(formula, name, args)
         raise AssertionError(ast.dump(node))
 
-    def _operation(self, formula: Formula, node: ast.BinOp, sign: str, left: ast.expr, right: ast.expr) -> Enclosure:
+    def _operation(self, formula: Formula, sign: str, left: ast.expr, right: ast.expr) -> Enclosure:
         a, b = self.number(formula, left), self.number(formula, right)
         match sign:
             case "+":

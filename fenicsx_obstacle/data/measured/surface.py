@@ -51,33 +51,20 @@ class Surface(ABC):
             polynomial is the surface all over a simplex; and whether the surface covers it.
         """
 
-    def bounds(self, corners: np.ndarray) -> SurfaceBounds:
-        """Bounds over segments or triangles, shape (simplices, corners, 2), widened for round-off."""
+    def bounds(self, corners: np.ndarray) -> Bounds:
+        """Bounds over segments or triangles, shape (simplices, corners, 2), widened for round-off; `defined` where the
+        surface covers them."""
         low, high, steepest, whole, covered = self.beside(corners, np.zeros(corners.shape[:2]))
         margin = _ROUND_OFF * np.maximum(np.abs(low), np.abs(high))
         lower, upper = np.where(covered, low - margin, -np.inf), np.where(covered, high + margin, np.inf)
         whole = whole & covered
         degree = np.where(whole, self.degree, NO_POLYNOMIAL)
-        return SurfaceBounds(lower, upper, degree, whole, covered, steepest * MARGIN)
+        return Bounds(lower, upper, degree, whole, covered, lambda k: steepest * MARGIN if k == 1 else np.inf)
 
     def cuts(self, corners: np.ndarray) -> np.ndarray:
         """Values at the corners of linear functions that are 0 on a line where polynomials meet; 0 where none is
         known."""
         return np.zeros(corners.shape[:2])
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceBounds(Bounds):
-    """Bounds of measured data over simplices, `defined` where data cover them.
-
-    Attributes:
-        steepest: Bound of the gradient.
-    """
-
-    steepest: np.ndarray
-
-    def derivative(self, k: int) -> np.ndarray:
-        return self.steepest if k == 1 else super().derivative(k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +79,8 @@ class OnSurface(Enclosed):
     surface: Surface
     corners: np.ndarray
 
-    def once(self) -> SurfaceBounds:
+    def once(self) -> Bounds:
         return self.surface.bounds(self.corners)
-
-    def some(self, cells: np.ndarray) -> OnSurface:
-        return OnSurface(self.surface, self.corners[cells])
 
     def linear(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         corners = self.corners[cells]
