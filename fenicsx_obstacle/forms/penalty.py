@@ -96,7 +96,8 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
 
     p = ((lower - u)^+ - (u - upper)^+)/eps, equations (3.7) and (3.8) of Kikuchi (1981). It is a load on the right-hand
     side, -div(mu grad u) = f + p: p >= 0 at a lower obstacle, p <= 0 at an upper obstacle. With P1 the contact force is
-    the integral of `p * ufl.dx`.
+    the integral of `p * ufl.dx`. With a `measure` of `penalty` it is that of p times the measure; values at other nodes
+    have no meaning.
 
     Args:
         u: Solution, a Function of the Lagrange space for which `penalty` was used.
