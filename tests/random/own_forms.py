@@ -311,6 +311,8 @@ def judged(form: OwnForm) -> Verdict:
     if not apart <= allowed and height <= 100 * CONSTANT * size:
         # u is constant but for what the stopping test leaves: its range says nothing, a step of Newton does
         allowed += min(_newton_step(form, exact) + _newton_step(form, found), CONSTANT * size)
+    if not apart <= allowed and _stays(form, found, allowed, method="vi") and _stays(form, exact, allowed):
+        return Verdict("right", "two solutions: each method stays at the other's")
     if not apart <= allowed:
         more = f"penetration {found.penetration:.3g}, eps {found.eps:.3g}"
         return Verdict("FAILED", f"u differs by {apart:.3g} of {height:.3g}, {more}")
@@ -351,6 +353,14 @@ def not_in_balance(form: OwnForm, solution: Any, *, penetrates: bool) -> str:
     if not left <= BALANCE * acting + _round_off(form, forces):
         return f"forces of {left:.3g} are not balanced, of {acting:.3g}"
     return ""
+
+
+def _stays(form: OwnForm, solution: Any, allowed: float, **options: Any) -> bool:
+    """Whether a method that starts at a solution ends there, as where F is not monotone (collective)."""
+    before, form.start = form.start, solution.u.x.array.copy()
+    again, _ = attempt(form, **options)
+    form.start = before
+    return again is not None and largest(form.mesh.comm, np.abs(again.u.x.array - solution.u.x.array)) <= allowed
 
 
 def _newton_step(form: OwnForm, solution: Any) -> float:
