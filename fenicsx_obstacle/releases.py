@@ -13,7 +13,6 @@ import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -159,7 +158,6 @@ def form(expression: ufl.Form, *, reordered: bool = False) -> Any:
         reordered: Whether the compiler may change the order of sums and products, and with it their last digits: it
             then computes several points at once.
     """
-    _remove_old_stale_sources()
     form_options, jit_options = _compiler_options
     options = {"jit_params" if OLD else "jit_options": _with_flags(jit_options, reordered)}
     options["form_compiler_params" if OLD else "form_compiler_options"] = form_options
@@ -206,12 +204,6 @@ def _with_flags(jit_options: Mapping[str, Any], reordered: bool) -> dict[str, An
 
 # what -ffast-math allows, except for numbers that are not finite
 _REORDER = ("-O3", "-fno-trapping-math", "-fno-signed-zeros", "-fassociative-math", "-freciprocal-math")
-
-
-@cache
-def _remove_old_stale_sources() -> None:
-    """Once a process: what is that old has no compiler working on it, so there is no need to wait for it."""
-    _remove_stale_sources(4 * JIT_WAIT)
 
 
 def _remove_stale_sources(seconds: float) -> None:
