@@ -77,10 +77,11 @@ def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:
         used: Its objects. What PETSc was using when it gave up is locked for ever, and must not be destroyed.
 
     Raises:
-        PETSc.Error: Any other error.
+        PETSc.Error: Any other error of PETSc.
+        BaseException: That of a callback.
     """
     try:
-        solve()
+        _call(solve)
     except Collapsed:
         for one in used:
             one.incRef()
@@ -94,6 +95,19 @@ def attempt(solve: Callable[[], object], *used: PETSc.Object) -> bool:
             one.incRef()
         return False
     return True
+
+
+def _call(solve: Callable[[], object]) -> None:
+    """Call it. What a callback raises, and newer releases of petsc4py keep as the cause of an error, is raised."""
+    raised: BaseException | None = None
+    try:
+        solve()
+    except PETSc.Error as error:
+        raised = error
+        while isinstance(raised, PETSc.Error) and raised.__cause__ is not None:
+            raised = raised.__cause__
+    if raised is not None:
+        raise raised
 
 
 class defaults:

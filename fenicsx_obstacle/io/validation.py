@@ -61,7 +61,7 @@ def check_record(record: Any) -> None:
         if found.newton_iterations < 0:
             raise ValueError("a negative number of steps")
         summary(record, "")
-    except (LookupError, TypeError, AttributeError) as error:
+    except (LookupError, TypeError, AttributeError, msgspec.ValidationError) as error:
         raise ValueError(f"it has wrong fields ({type(error).__name__}: {error})") from None
 
 
