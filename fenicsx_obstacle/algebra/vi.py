@@ -56,11 +56,10 @@ def solve_vi(
         how["patience"] = patience
     if problem.loose is not None:
         return require(_from_penalty(problem, how), problem, None, tolerance)
-    if problem.affine or not problem.constrained or is_limited(problem, "vi"):
-        return require(_settled(problem, how, multigrid), problem, None, tolerance)
-    start = problem.u
-    outcome = _settled(problem, {**how, "patience": PATIENCE}, multigrid)
-    if not outcome.converged:
+    limited, start = not problem.constrained or is_limited(problem, "vi"), problem.u
+    outcome = _settled(problem, how if problem.affine or limited else {**how, "patience": PATIENCE}, multigrid)
+    ended = outcome.converged or limited or (problem.affine and patience is not None)
+    if not ended:  # active sets of what is no M-matrix may also repeat
         problem.set_unknown(start)
         outcome = joined(outcome, _from_penalty(problem, how))
     return require(outcome, problem, None, tolerance)
