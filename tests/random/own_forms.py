@@ -77,7 +77,7 @@ class OwnForm:
     def __init__(self, seed: int, comm: MPI.Comm):
         self.drawn = drawn = Drawn(seed)
         self.mesh = mesh = _mesh(drawn, comm)
-        degree = 1 if mesh.ufl_cell().cellname() in ("quadrilateral", "tetrahedron") else drawn.one((1, 1, 2))
+        degree = 1 if releases.cell_name(mesh) in ("quadrilateral", "tetrahedron") else drawn.one((1, 1, 2))
         self.V = V = releases.functionspace(mesh, "Lagrange", degree)
         self.u, self.v = fem.Function(V, name="u"), ufl.TestFunction(V)
         self.height = drawn.size(-4, 3, "height")
