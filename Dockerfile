@@ -5,7 +5,8 @@ COPY debian-packages.txt debian-packages-python.txt /tmp/
 # Everything comes from Debian: nothing of PyPI is fetched. Debian's dolfinx brings what one needs to compile against it in
 # C++; FFCx compiles C at run time, so that gcc, libc and Python keep their headers, and the rest goes in the same layer.
 RUN apt-get update \
- && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends $(cat /tmp/debian-packages*.txt) \
+ && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends \
+    $(cat /tmp/debian-packages*.txt) python3-pyvista xauth xvfb \
  && dpkg-query -W -f '${Package}\n' | grep -E '^(g\+\+|gfortran|lib(boost|dolfinx|eigen|stdc\+\+|vtk).*-dev$)' \
   | xargs dpkg --purge --force-depends \
  && rm -rf /var/lib/apt/lists/* /tmp/debian-packages*.txt /usr/share/doc/*

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -96,8 +97,10 @@ def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[l
         pictures = [folder / f"{number}.png" for number in range(len(views))]
         # VTK must not take itself for a rank of our MPI
         env = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
+        # VTK of Debian draws on a display only
+        screen = [] if os.getenv("DISPLAY") or not shutil.which("xvfb-run") else ["xvfb-run", "--auto-servernum"]
         try:
-            done = subprocess.run([*_WORKER, name], env=env, timeout=PATIENCE, capture_output=True, check=False)
+            done = subprocess.run([*screen, *_WORKER, name], env=env, timeout=PATIENCE, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return [], f"pyvista took more than {PATIENCE:.0f} s"
         except OSError as error:
