@@ -98,9 +98,10 @@ def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[l
         # VTK must not take itself for a rank of our MPI
         env = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
         # VTK of Debian draws on a display only
-        screen = [] if os.getenv("DISPLAY") or not shutil.which("xvfb-run") else ["xvfb-run", "--auto-servernum"]
+        display = [] if os.getenv("DISPLAY") or not shutil.which("xvfb-run") else ["xvfb-run", "--auto-servernum"]
+        worker = [*display, *_WORKER, name]
         try:
-            done = subprocess.run([*screen, *_WORKER, name], env=env, timeout=PATIENCE, capture_output=True, check=False)
+            done = subprocess.run(worker, env=env, timeout=PATIENCE, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return [], f"pyvista took more than {PATIENCE:.0f} s"
         except OSError as error:
