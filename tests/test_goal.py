@@ -87,6 +87,8 @@ def test_energy_is_guaranteed():
     answer = solve(STRING_SCENE, tol=0.003, goal="energy")
     assert answer.goal.words == "guaranteed" and abs(answer.goal.value - STRING) <= answer.goal.error
     assert answer.goal.error <= 0.003 * abs(STRING)
+    own = solve(STRING_SCENE.change({"report": {"energy": "integral(u)"}}), tol=0.1, goal="energy")
+    assert own.goal.value == own.report["energy"] and own.goal.words == "estimated"
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ AT_FREE_BOUNDARY = 1  # further refinements there: h/4
 AT_JUMPS = 3  # where data jump inside cells: h/16, as finer meshes may have a jump at the same wrong place
 LEAST_SHARE = 0.05  # of the sum of the absolute values of all contributions: they cancel by chance
 NOT_DIFFERENTIABLE = ("contact.area", "penetration")  # keys of a record
-ENERGY = "energy"
+ENERGY = "energy"  # in a record; [report] may have a quantity of this name
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class GoalAdaptation(Adaptation):
 
     def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
         """The answer on one mesh, and the part of the error of the quantity in each owned cell (collective)."""
-        if self._bounded is None and self.goal == ENERGY:
+        if self._bounded is None and self._key == ENERGY:
             with suppress(InputError):  # where there is no error bound for the scene
                 self._bounded = context.estimator is not None
         found = self._guaranteed(context) if self._bounded else None
@@ -185,7 +185,7 @@ class GoalAdaptation(Adaptation):
         """
         found = lookup(answer.record, self._key)
         if found is None:
-            raise InputError(f"{self.scene.source}: --of {self.goal}: it is not finite" if self.goal != ENERGY else
+            raise InputError(f"{self.scene.source}: --of {self.goal}: it is not finite" if self._key != ENERGY else
                              f"{self.scene.source}: --of energy: the scene has none")  # fmt: skip
         return found
 
@@ -214,7 +214,7 @@ class GoalAdaptation(Adaptation):
         finest, below = finer[-1].problem, [one.problem for one in reversed(finer[:-1])]
         own, coarse = finest.level.owned, context.problem.level.owned
         chain, given = [finest, *below], answer.u.x.array[:coarse]
-        if self.goal == ENERGY:
+        if self._key == ENERGY:
             nodal = energy_contributions(finest, below, given)
             pressure, eps = fine.pressure.x.array[:own] / finest.thickness, fine.record["eps"] or 0.0
             penalty = eps * total(self.comm, finest.weights * pressure**2) / 2
