@@ -1,10 +1,10 @@
 """From a tolerance for one output quantity to a solution: energy, contact force, or a quantity of [report].
 
 The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, those
-in which a datum jumps three times more, and the problem is solved there. The change of the quantity, times `BEYOND`
-for what still finer meshes would change, and the part of the penalty are the estimate. Where it comes from is said by
-the dual weighted residual (`dual_weighted`), and there the mesh is refined. The energy has a guaranteed error instead
-wherever there is an error bound.
+in which a datum jumps, or an obstacle is beyond u between the nodes, three times more, and the problem is solved there.
+The change of the quantity, times `BEYOND` for what still finer meshes would change, and the part of the penalty are the
+estimate. Where it comes from is said by the dual weighted residual (`dual_weighted`), and there the mesh is refined.
+The energy has a guaranteed error instead wherever there is an error bound.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import BULK, Adaptation, Budget
+from fenicsx_obstacle.answers.adapt import BULK, STALLED, Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.jumps import cells_with_jumps, unresolved
+from fenicsx_obstacle.answers.jumps import BETWEEN, cells_with_jumps, hidden_contact, unresolved
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
@@ -95,6 +95,7 @@ class GoalAdaptation(Adaptation):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
         self.goal, self.words = goal, "estimated"
         self._bounded: bool | None = None
+        self._hidden = False  # an obstacle is beyond u inside cells of the finest mesh
         self._key = scene.quantities.get(goal, "")  # in a record
         if self._key in NOT_DIFFERENTIABLE:
             raise InputError(f"{scene.source}: --of {goal}: it does not depend on u differentiably, so that its error "
@@ -124,6 +125,7 @@ class GoalAdaptation(Adaptation):
         if found is None:
             self._bounded, found = False, self.with_eps(context, lambda: self._refined(context))
             reason = unresolved(context.problem.data)  # no finer mesh is known to have a jump at the right place
+            reason = BETWEEN if reason is None and self._hidden else reason
             self.words = "estimated" if reason is None else f"estimated, not settled: {reason}"
         answer, self.estimate = found
         self.note(answer, self.estimate.error, self.estimate.relative, self.estimate.unknowns)
@@ -136,7 +138,7 @@ class GoalAdaptation(Adaptation):
     def judged(self, answer: Answer) -> tuple[float, float, float, int]:
         """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
         estimate, size = self.estimate, abs(self.estimate.value) if self.relative else 1.0
-        if size == 0.0 < estimate.error:
+        if size == 0.0 < estimate.error and len(self.path) > STALLED:  # on coarse meshes it may be 0 by chance
             raise InputError(f"{self.scene.source}: --of {self.goal}: it is 0; give --tol-absolute")
         return estimate.error, estimate.penalty, self.tolerance * size, estimate.dofs
 
@@ -169,7 +171,9 @@ class GoalAdaptation(Adaptation):
                 finer.append(below)
                 fine = below.answer(options, errors=False)
                 values.append(self._value(fine))
-                cells = cells_with_jumps(below.problem.data)
+                hidden = hidden_contact(below.problem.data, fine.u.x.array, fine.contact.x.array > 0.5)
+                cells = cells_with_jumps(below.problem.data) | hidden
+                self._hidden = total(self.comm, np.count_nonzero(hidden)) > 0
                 if len(finer) <= AT_FREE_BOUNDARY:
                     cells |= at_free_boundary(fine)
             return answer, self._compared(context, answer, finer, fine, values)
