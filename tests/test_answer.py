@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import NotConverged, Scene, compare, solve, study
@@ -153,6 +154,15 @@ def test_contact_at_single_points_has_nothing_in_common():
     assert all(one.contact.x.array.max(initial=0) <= 1 for one in edges)
     assert compare(*edges)["contact"]["jaccard"] == 0
     assert compare(edges[0], edges[0])["contact"]["jaccard"] == 1
+
+
+def test_compare_with_a_tension_that_moves_or_is_in_ufl():
+    """The energy norm of the difference has the tension at the end, and that of the expression."""
+    square = dmesh.create_unit_square(COMM, 4, 4)
+    for more in ({"tension": "1 + t", "time": {"end": 1, "steps": 1}, "mesh": {"shape": "rectangle", "cells": 4}},
+                 {"tension": 2 + 0 * ufl.SpatialCoordinate(square)[0], "mesh": square}):  # fmt: skip
+        found = compare(*(solve(Scene(**more, load=load, boundary=[{"value": 0}])) for load in (1, 2)))["u"]
+        assert np.isclose(found["energy"] ** 2, 2 * (found["h1"] ** 2 - found["l2"] ** 2))
 
 
 def test_compare_on_two_meshes():

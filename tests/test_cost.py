@@ -76,6 +76,14 @@ def test_small_meshes_do_not_make_digits_cheap():
     assert price.price([EXACT, *rows], "energy").factor >= 99
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-12])
+def test_a_contact_area_is_there_in_any_unit(unit):
+    """But not where it is a point."""
+    rows = [{**row, "errors": {"area": 0.1 * unit}, "sizes": {"area": unit}} for row in line("a", 0.5)]
+    assert price.norms([{**EXACT, "area": unit}, *rows]) == price.norms([EXACT, *rows]) == ["area"]
+    assert price.norms([{**EXACT, "area": 0.0}, *rows]) == []
+
+
 def test_errors_below_the_reference_are_left_out():
     changed = {"energy": 0.0, "l2": 0.0}
     first = {"choice": "", "exact": False, "changed": changed, "bound": {"total": 0.02, "guaranteed": True}}

@@ -62,6 +62,7 @@ def test_data_from_python_vary():
         ({"define.q": (1, 2)}, "force 30", "expected NAME = VALUE"),
         ({"define.q": (1, 2)}, "forse = 30", "did you mean 'force'"),
         ({"define.q": (1, 2)}, "force = x", "x"),
+        ({"define.q": (1, 2)}, "force = 1 + q/2", "depends on define.q"),
         ({"define.p": (1, 2)}, "force = 1", "define"),
     ],
 )

@@ -136,6 +136,24 @@ def test_normal_flux_has_a_sign_and_an_order():
     assert np.allclose([free["left"], free["right"], free["top"]], [-1, 0, 0], atol=1e-9)
 
 
+def test_a_free_end_between_given_sides():
+    """It has no flux, also where its only facet ends at both sides: u = y (h - y)/2 has the flux -h/2 there."""
+    report = {name: f'integral(normal_flux, "{name}")' for name in ("left", "bottom", "top")}
+    strip = {"shape": "rectangle", "y": [0, 0.125], "cells": 8}
+    found = solve(membrane(mesh=strip, load=1, boundary=[{"on": ["bottom", "top"], "value": 0}], report=report)).report
+    assert found["left"] == 0 and np.isclose(found["bottom"] + found["top"], -0.125)
+
+
+def test_contact_on_a_part_is_not_integrated_over_cells():
+    """The pressure is there a force per length."""
+    wall = [{"on": "left", "value": 0}, {"on": "right", "upper": -0.1}]
+    with pytest.raises(InputError, match=r'on a part of the boundary: integral\(p, "name of the part"\)'):
+        solve(membrane(load=1, boundary=wall, report={"force": "2*integral(u*p)"}))
+    report = {"force": "integral(p, 'right')", "out": "integral(u + 0*integral(contact, 'right'))"}
+    answer = solve(membrane(load=1, boundary=wall, report=report))
+    assert np.isclose(answer.report["force"], -answer.force.upper, rtol=1e-9)
+
+
 @pytest.mark.slow
 def test_normal_flux_into_a_curve_inside():
     """The groove and the ends of the bearing take what load and cavitation leave: both sides of the groove count."""

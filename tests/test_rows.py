@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import shutil
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.studies import rows as rows_module
+from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import RowStore, row_key
 from tests.cli.faults import disk
 from tests.cli.faults.kill import kills
@@ -43,6 +45,14 @@ def test_finished_study_computes_nothing_again_unless_fresh(tmp_path):
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 7
     fresh = inside(*STUDY, "--output", tmp_path / "out", "--fresh")
     assert "* timed" not in fresh.stdout
+
+
+def test_a_row_that_other_keys_led_to(tmp_path):
+    """It is taken, with the values of the keys that vary now."""
+    for key in ("cells", "mesh.cells"):
+        with closing(RowStore(tmp_path)) as store:
+            row = Study(Scene.read(DEMOS / "string.toml"), {key: [4]}, {}).run(store=store)[0]
+        assert row["vary"] == {key: 4} and row["run"] == 1
 
 
 def test_torn_line_is_cut(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +105,14 @@ def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
     slopes = size.sum(axis=1) * (reference.gradients(e, cells, points[None, :1])[:, 0] ** 2).sum(axis=1)
     l2, gradient = total(comm, size * reference.values(e, cells, points[None]) ** 2), total(comm, slopes)
     norms = {"l2": math.sqrt(l2), "h1": math.sqrt(l2 + gradient), "max": largest(comm, np.abs(nodal))}
-    elastic = answer.scene.model.elastic if isinstance(answer, Answer) else None
-    tension = elastic.value if elastic is not None and elastic.role == "tension" else None
+    if not isinstance(answer, Answer):
+        return norms
+    elastic = answer.scene.model.elastic
+    tension = elastic.value if elastic.role == "tension" else None
     if tension is not None and tension.parts is None and not tension.needs_distance:
-        mu = tension.at(np.ascontiguousarray(corners(level.mesh, cells).mean(axis=1).T), {})
-        norms["energy"] = math.sqrt(total(comm, mu * slopes))
+        with suppress(InputError):  # not on this mesh, or not in the file
+            mu = answer.data().at(tension, np.ascontiguousarray(corners(level.mesh, cells).mean(axis=1).T), cells)
+            norms["energy"] = math.sqrt(total(comm, mu * slopes))
     return norms
 
 

@@ -1,10 +1,10 @@
 """From a tolerance for one output quantity to a solution: energy, contact force, or a quantity of [report].
 
 The error is estimated on a finer mesh: all cells of the mesh are refined, those at the free boundary once more, those
-in which a datum jumps three times more, and the problem is solved there. The change of the quantity, times `BEYOND`
-for what still finer meshes would change, and the part of the penalty are the estimate. Where it comes from is said by
-the dual weighted residual (`dual_weighted`), and there the mesh is refined. The energy has a guaranteed error instead
-wherever there is an error bound.
+in which a datum jumps, or an obstacle is beyond u between the nodes, three times more, and the problem is solved there.
+The change of the quantity, times `BEYOND` for what still finer meshes would change, and the part of the penalty are the
+estimate. Where it comes from is said by the dual weighted residual (`dual_weighted`), and there the mesh is refined.
+The energy has a guaranteed error instead wherever there is an error bound.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import BULK, Adaptation, Budget
+from fenicsx_obstacle.answers.adapt import BULK, STALLED, Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.jumps import cells_with_jumps, unresolved
+from fenicsx_obstacle.answers.jumps import BETWEEN, cells_with_jumps, hidden_contact, unresolved
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
@@ -37,7 +37,7 @@ AT_FREE_BOUNDARY = 1  # further refinements there: h/4
 AT_JUMPS = 3  # where data jump inside cells: h/16, as finer meshes may have a jump at the same wrong place
 LEAST_SHARE = 0.05  # of the sum of the absolute values of all contributions: they cancel by chance
 NOT_DIFFERENTIABLE = ("contact.area", "penetration")  # keys of a record
-ENERGY = "energy"
+ENERGY = "energy"  # in a record; [report] may have a quantity of this name
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +95,7 @@ class GoalAdaptation(Adaptation):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
         self.goal, self.words = goal, "estimated"
         self._bounded: bool | None = None
+        self._hidden = False  # an obstacle is beyond u inside cells of the finest mesh
         self._key = scene.quantities.get(goal, "")  # in a record
         if self._key in NOT_DIFFERENTIABLE:
             raise InputError(f"{scene.source}: --of {goal}: it does not depend on u differentiably, so that its error "
@@ -117,13 +118,14 @@ class GoalAdaptation(Adaptation):
 
     def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
         """The answer on one mesh, and the part of the error of the quantity in each owned cell (collective)."""
-        if self._bounded is None and self.goal == ENERGY:
+        if self._bounded is None and self._key == ENERGY:
             with suppress(InputError):  # where there is no error bound for the scene
                 self._bounded = context.estimator is not None
         found = self._guaranteed(context) if self._bounded else None
         if found is None:
             self._bounded, found = False, self.with_eps(context, lambda: self._refined(context))
             reason = unresolved(context.problem.data)  # no finer mesh is known to have a jump at the right place
+            reason = BETWEEN if reason is None and self._hidden else reason
             self.words = "estimated" if reason is None else f"estimated, not settled: {reason}"
         answer, self.estimate = found
         self.note(answer, self.estimate.error, self.estimate.relative, self.estimate.unknowns)
@@ -136,7 +138,7 @@ class GoalAdaptation(Adaptation):
     def judged(self, answer: Answer) -> tuple[float, float, float, int]:
         """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
         estimate, size = self.estimate, abs(self.estimate.value) if self.relative else 1.0
-        if size == 0.0 < estimate.error:
+        if size == 0.0 < estimate.error and len(self.path) > STALLED:  # on coarse meshes it may be 0 by chance
             raise InputError(f"{self.scene.source}: --of {self.goal}: it is 0; give --tol-absolute")
         return estimate.error, estimate.penalty, self.tolerance * size, estimate.dofs
 
@@ -169,7 +171,9 @@ class GoalAdaptation(Adaptation):
                 finer.append(below)
                 fine = below.answer(options, errors=False)
                 values.append(self._value(fine))
-                cells = cells_with_jumps(below.problem.data)
+                hidden = hidden_contact(below.problem.data, fine.u.x.array, fine.contact.x.array > 0.5)
+                cells = cells_with_jumps(below.problem.data) | hidden
+                self._hidden = total(self.comm, np.count_nonzero(hidden)) > 0
                 if len(finer) <= AT_FREE_BOUNDARY:
                     cells |= at_free_boundary(fine)
             return answer, self._compared(context, answer, finer, fine, values)
@@ -185,7 +189,7 @@ class GoalAdaptation(Adaptation):
         """
         found = lookup(answer.record, self._key)
         if found is None:
-            raise InputError(f"{self.scene.source}: --of {self.goal}: it is not finite" if self.goal != ENERGY else
+            raise InputError(f"{self.scene.source}: --of {self.goal}: it is not finite" if self._key != ENERGY else
                              f"{self.scene.source}: --of energy: the scene has none")  # fmt: skip
         return found
 
@@ -214,7 +218,7 @@ class GoalAdaptation(Adaptation):
         finest, below = finer[-1].problem, [one.problem for one in reversed(finer[:-1])]
         own, coarse = finest.level.owned, context.problem.level.owned
         chain, given = [finest, *below], answer.u.x.array[:coarse]
-        if self.goal == ENERGY:
+        if self._key == ENERGY:
             nodal = energy_contributions(finest, below, given)
             pressure, eps = fine.pressure.x.array[:own] / finest.thickness, fine.record["eps"] or 0.0
             penalty = eps * total(self.comm, finest.weights * pressure**2) / 2

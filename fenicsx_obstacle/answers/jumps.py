@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import combinations, permutations
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.estimation.edges import cut_parts
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.forms.pairs import SIMPLICES
-from fenicsx_obstacle.mesh.cells import corners, own_cells
+from fenicsx_obstacle.mesh.cells import barycentric, corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 JUMPS = "jumps inside cells; lay edges of cells along the jump"  # of a datum, in messages
@@ -25,6 +26,8 @@ HALVINGS = 30  # of lengths: a Lipschitz function differs by 1e-9 of what it did
 JUMP = 1e-3  # of the range of the datum, from which on a difference that is left is a jump
 LAYER, WITHIN = 0.25, 5  # of the range of the datum, after so many halvings: a line has 1/32, a root 0.18
 ROUND_OFF = 1e-12  # of the values of a datum
+PEAK, HIDDEN = 10, 0.01  # halvings of lengths, and part of the range of u, for obstacles above u between the nodes
+BETWEEN = "an obstacle is beyond u between the nodes of the finest mesh; refine there"
 INSIDE = 1e-6  # of the way from a vertex to the midpoint: a jump on facets is none inside cells
 
 
@@ -51,6 +54,38 @@ def cells_with_jumps(data: Data) -> np.ndarray:
     """Whether a datum of effects and obstacles jumps inside each owned cell, or nearly so (collective)."""
     none = np.zeros(own_cells(data.level.mesh), dtype=bool)
     return np.logical_or.reduce([none, *(cells for _, cells, _ in _jumps(data))])
+
+
+def hidden_contact(data: Data, u: np.ndarray, touching: np.ndarray) -> np.ndarray:
+    """Whether an obstacle in the domain is beyond u of P1 inside each owned cell without contact at nodes (collective).
+
+    Args:
+        data: Of the problem.
+        u: Local values.
+        touching: Whether each node is in contact.
+    """
+    level, mesh, dim = data.level, data.level.mesh, data.level.mesh.topology.dim
+    count, dofs, given = own_cells(mesh), releases.cell_dofs(level.V), np.zeros(len(u), dtype=bool)
+    given[data.fixed[0]] = True
+    # along facets where u is given an obstacle may be beyond the interpolant of equal values
+    free = ~touching[dofs].any(axis=1) & ((dim == 1) | (given[dofs].sum(axis=1) < dim))
+    cells, limit = np.flatnonzero(free[:count]), HIDDEN * (largest(level.comm, u) - smallest(level.comm, u))
+    found = np.zeros(count, dtype=bool)
+    for sign, field in ((1.0, data.model.lower), (-1.0, data.model.upper)):
+        if field is None:
+            continue
+        here, names = data.here(field), data.names(field)
+
+        def beyond(x: np.ndarray, which: np.ndarray, sign: float = sign, here: Field = here, names: Any = names) -> Any:
+            state = np.einsum("cij,cj->ci", barycentric(x, corners(mesh, which)), sign * u[dofs[which]])
+            bounds = here.over(x[..., : mesh.geometry.dim], names, which)
+            if bounds is None:
+                heights = here.at(x.reshape(-1, 3).T, names, np.repeat(which, dim + 1)).reshape(-1, dim + 1)
+                return (sign * heights - state).max(axis=1)
+            return (bounds.once().upper if sign > 0 else -bounds.once().lower) - state.min(axis=1)
+
+        found[_changing(corners(mesh, cells), cells, beyond, PEAK * dim, limit)] = True
+    return found
 
 
 def _data(data: Data) -> list[Field]:

@@ -44,21 +44,15 @@ class NormalFlux:
         """
         self.level, self.reference, self.tension, self.u = data.level, reference, tension, u
         level = self.level
-        self._dofs = releases.cell_dofs(level.V)
         self._facets = cell_facets(level.mesh)
-        self._given = np.zeros(len(u.x.array), dtype=bool)
-        self._given[data.fixed[0]] = True
-        names = {name for part in data.model.boundary if part.value is not None for name in part.on or ()}
         self._held = np.zeros(self._facets.max(initial=-1) + 1, dtype=bool)
-        for facets in (level.boundary_facets, *(level.facets[name] for name in names)):
+        for facets in data.held:
             self._held[facets] = True
         cells, numbers, shares = sides(level.mesh, np.flatnonzero(self._held))
-        kept = self._is_held(cells, numbers)
-        cells, numbers, shares = cells[kept], numbers[kept], shares[kept]
         where = reference.on_facets(numbers, rule[0])
         phi = reference.basis(level.V, where)
         sizes = reference.facet_measures(cells, numbers, rule[0]) * rule[1]
-        around, own = AroundNodes(level.V, self._dofs[cells]), level.owned
+        around, own = AroundNodes(level.V, releases.cell_dofs(level.V)[cells]), level.owned
         missing = -around.sums(np.einsum("fp,fp,fpn->fn", sizes, self.outward(cells, numbers, where), phi))[:own]
         self.lengths = length = around.sums(np.einsum("fp,fpn->fn", sizes, phi) * shares[:, None])[:own]
         found = length > 1e-9 * length.max(initial=0.0)  # nodes off the facet have none, up to round-off
@@ -80,16 +74,11 @@ class NormalFlux:
         """
         correction = self.reference.values(self.correction, cells, where)
         flux = self.outward(cells, numbers, where) / shares[:, None] + correction
-        return np.where(self._is_held(cells, numbers)[:, None], flux, 0.0)
+        return np.where(self._held[self._facets[cells, numbers]][:, None], flux, 0.0)
 
     def outward(self, cells: np.ndarray, numbers: np.ndarray, where: np.ndarray) -> np.ndarray:
         """tension du/dn of the gradient in each cell, n along the surface for surfaces."""
         return outward_flux(self.reference, self.tension, self.u, cells, numbers, where)
-
-    def _is_held(self, cells: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-        members = np.array(self.reference.facets)[numbers]
-        given = np.take_along_axis(self._given[self._dofs[cells]], members, axis=1)  # dofs of vertices are the first
-        return self._held[self._facets[cells, numbers]] & given.all(axis=1)
 
 
 def outward_flux(

@@ -149,7 +149,7 @@ class Study:
                 check_record(stored)
             except ValueError as error:
                 raise InputError(f"{self.store.path}: a row is damaged: {error}; use --fresh or --output") from None
-            return stored, None
+            return {**stored, "vary": dict(combination)}, None  # other keys may have led to the same scene
         answer = self.solve(combination, scene)
         if self._key(scene) != key:
             raise InputError(f"{scene.source}: one of its files has changed while it was solved: run the study again")

@@ -101,6 +101,9 @@ class Find(Study):
         self.within = within
         super().__init__(scene, {self.key: list(self.ends)}, options, comm)
         self.quantity, self._place, self.target = _target(target, self.last)
+        if _target(target, self.points[0][1])[2] != self.target:
+            raise InputError(f"{scene.source}: target '{target}': its value depends on {self.key}; take a quantity of "
+                             "[report] that is the difference, and the target 0")  # fmt: skip
         self.rows: dict[float, Row] = {}
         self._nearest: tuple[float, Answer | None] = (math.inf, None)
         self.found = self.ends[1]

@@ -24,7 +24,7 @@ NORMS = {
 TOLERANCES = tuple(10.0**-k for k in range(1, 7))
 FAR = 20.0  # times beyond the last error of a choice its line is continued: to a tenth of twice the smallest, at most
 TRUSTED = 3.0  # smaller errors, relative to the uncertainty of the reference, are not used
-NEGLIGIBLE_SIZE = 1e-9  # of the domain, or of the force scale: no contact to be measured
+NEGLIGIBLE_SIZE = 1e-9  # of the largest area or force in all rows: no contact to be measured
 STEEPEST = 1.5  # errors that fall faster than unknowns^-1.5, order 3 in h, are accidental: the error changes its sign
 FLAT = 0.02  # slope of log error over log seconds below which it does not fall
 
@@ -120,7 +120,8 @@ def norms(rows: Rows) -> list[str]:
 def _there(rows: Rows, norm: str) -> bool:
     """Whether there is anything to measure: no area where contact is a point."""
     size = truth(rows).get(norm, solved(rows)[-1]["sizes"].get(norm))
-    return norm not in ("force", "area") or abs(size or 0.0) > NEGLIGIBLE_SIZE
+    most = max(row["sizes"].get(norm) or 0.0 for row in solved(rows))
+    return norm not in ("force", "area") or (size or 0.0) > NEGLIGIBLE_SIZE * most
 
 
 def curves(rows: Rows, norm: str) -> list[Curve]:
