@@ -13,7 +13,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, PenetrationWarning, releases
 from fenicsx_obstacle.parallel import largest, total
 from tests.conftest import COMM, by_hand
-from tests.helpers import BUBBLES, grid, mixed_space
+from tests.helpers import BUBBLES, Membrane, grid, mixed_space
 
 BEGIN, STEP = (lambda x: x[0] * (1 - x[1]), lambda x: 0.4 * x[1] ** 2 + 0 * x[0]), 0.05
 
@@ -345,12 +345,6 @@ def test_warnings():
         ObstacleProblem(F, u, lower={0: -1.0}).solve(method="vi")
 
 
-def scalar():
-    V = releases.functionspace(square(COMM), "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    return ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + u * v * ufl.dx, u
-
-
 WRONG = {
     "a component that is not there": ({"lower": {2: 0.0}}, "u has the components 0 to 1"),
     "a negative number": ({"lower": {-1: 0.0}}, "u has the components 0 to 1"),
@@ -378,9 +372,8 @@ def test_wrong_bounds(wrong):
 
 def test_other_wrong_input():
     """A scalar u, u itself, degree 2, a condition beyond a bound, and what solutions do not have."""
-    F, u = scalar()
     with pytest.raises(InputError, match="u is scalar"):
-        ObstacleProblem(F, u, lower={0: 0.0})
+        Membrane().problem(lower={0: 0.0})
     case = Reaction(COMM)
     with pytest.raises(InputError, match=r"lower\[0\] is u itself"):
         ObstacleProblem(case.F, case.u, lower={0: case.u})
