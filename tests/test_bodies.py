@@ -22,7 +22,6 @@ from fenicsx_obstacle.answers.profiles import profiles_of
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.scenes.rigid_surfaces import facets_gap
 from fenicsx_obstacle.show.bodies import contact_facets, eye_of
-from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.show.render import axes_of_view
 from fenicsx_obstacle.show.report import report_answer
 from tests.conftest import CLEAN, COMM, DEMOS, membrane, slow_except
@@ -379,20 +378,6 @@ def test_studies_and_searches():
     target = sum(forces) / 2
     rows = find(scene, {"define.depth": (0.01, 0.02)}, f"force = {target}")
     assert np.isclose(rows[-1]["contact.lower.force"], target, rtol=1e-3)
-
-
-def test_explain_a_body():
-    """Equation, obstacle, boundary and what is small."""
-    text = " ".join(explain(Scene.read(DEMOS / "lift_off.toml")).split())
-    for words in ("-div(sigma(u)) = 0", "plane = [0, 1]", "sigma(u) n = - pressure n on top", "u_x = 0 on left",
-                  "rigid body motions", "slopes above 0.2"):  # fmt: skip
-        assert words in text, words
-    scene = block(boundary=[*ROLLERS, ABOVE, {"on": "right", "spring": [1, 2]}, {"where": "x + y > 3", "spring": 7}])
-    text = " ".join(explain(scene).split())
-    for words in ("sigma(u) n = - diag(spring) u on right", "= - spring (u . n) n where", "[force/length^3]"):
-        assert words in text, words
-    text = " ".join(explain(Scene.read(DEMOS / "hertz_sphere.toml")).split())
-    assert "contact: from [0, 0] to [1.5, 0], p over p0*sqrt(max(1 - (x/a)^2, 0))" in text
 
 
 def obstacle(**keys):
