@@ -136,3 +136,27 @@ class Membrane:
     def problem(self, **given: Any) -> ObstacleProblem:
         """With obstacles, and other arguments of ObstacleProblem."""
         return ObstacleProblem(self.F, self.u, **{"bcs": [self.bc], **given})
+
+
+BUBBLES = ("P1 and bubbles", 1, 2)
+
+
+def mixed_space(mesh, *elements):
+    """Of elements as (family, degree, components or None), the last one P1."""
+    if releases.OLD:
+        parts = [ufl.FiniteElement("Lagrange", mesh.ufl_cell(), degree) for _, degree, _ in elements]
+        sizes = [size for _, _, size in elements]
+        if BUBBLES in elements:
+            parts[elements.index(BUBBLES)] = parts[-1] + ufl.FiniteElement("Bubble", mesh.ufl_cell(), 3)
+        parts = [part if n is None else ufl.VectorElement(part, n) for part, n in zip(parts, sizes, strict=True)]
+        return fem.FunctionSpace(mesh, ufl.MixedElement(parts))
+    import basix.ufl
+
+    cell = mesh.basix_cell()
+    parts = [basix.ufl.element("Lagrange", cell, 1 if one is BUBBLES else one[1]) for one in elements]
+    if BUBBLES in elements:
+        bubble = basix.ufl.element("Bubble", cell, 3)
+        parts[elements.index(BUBBLES)] = basix.ufl.enriched_element([parts[-1], bubble])
+    pairs = zip(parts, elements, strict=True)
+    blocked = [part if n is None else basix.ufl.blocked_element(part, shape=(n,)) for part, (_, _, n) in pairs]
+    return fem.functionspace(mesh, basix.ufl.mixed_element(blocked))

@@ -19,7 +19,7 @@ from fenicsx_obstacle.discrete.hierarchy import galerkin_systems
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.problems.obstacle_problem import ObstacleProblem
 from tests.conftest import COMM, ON_SEVERAL_RANKS, by_hand, slow_except
-from tests.helpers import cut, grid
+from tests.helpers import cut, grid, mesh_of
 
 R = 0.6979651482233736  # of the contact set of the ball
 BALL = {
@@ -28,56 +28,32 @@ BALL = {
 }  # fmt: skip
 
 
-def shaken(mesh, share, width):
-    """Interior vertices moved by a share of the width of a cell, the same on all ranks."""
+def shaken(mesh, share, cells, half=2.0):
+    """Interior vertices of a box around 0 moved by a share of the width of a cell, the same on all ranks."""
     x, dim = mesh.geometry.x, mesh.geometry.dim
-    inside = np.all((x[:, :dim] > x_low(mesh) + 1e-9) & (x[:, :dim] < x_high(mesh) - 1e-9), axis=1)
+    inside = np.all(np.abs(x[:, :dim]) < half - 1e-9, axis=1)
     waves = np.stack([np.sin(1e4 * (k + 1) * (x @ [1.0, 1.7, 2.3]) + k) for k in range(dim)], axis=1)
-    x[inside, :dim] += share * width * waves[inside]
+    x[inside, :dim] += share * 2 * half / cells * waves[inside]
     return mesh
 
 
-def x_low(mesh):
-    return np.array([-largest(mesh.comm, -axis) for axis in mesh.geometry.x.T])[: mesh.geometry.dim]
+def square(cells, comm=COMM, kind=dmesh.CellType.triangle):
+    return dmesh.create_rectangle(comm, [np.full(2, -2.0), np.full(2, 2.0)], [cells, cells], kind)
 
 
-def x_high(mesh):
-    return np.array([largest(mesh.comm, axis) for axis in mesh.geometry.x.T])[: mesh.geometry.dim]
+def cube(cells):
+    return shaken(dmesh.create_box(COMM, [np.full(3, -1.0), np.full(3, 1.0)], [cells] * 3), 0.2, cells, 1.0)
 
 
-def square(cells, comm=COMM, low=-2.0, high=2.0):
-    corners = [np.full(2, low), np.full(2, high)]
-    return shaken(dmesh.create_rectangle(comm, corners, [cells, cells]), 0.2, (high - low) / cells)
-
-
-def cube(cells, comm=COMM):
-    mesh = dmesh.create_box(comm, [np.full(3, -1.0), np.full(3, 1.0)], [cells] * 3)
-    return shaken(mesh, 0.2, 2 / cells)
-
-
-def interval(cells):
-    return shaken(dmesh.create_interval(COMM, cells, [-1.0, 1.0]), 0.25, 2 / cells)
-
-
-def quadrilaterals(cells):
-    kind = dmesh.CellType.quadrilateral
-    mesh = dmesh.create_rectangle(COMM, [np.full(2, -2.0), np.full(2, 2.0)], [cells, cells], cell_type=kind)
-    return shaken(mesh, 0.15, 4 / cells)
+def uneven(cells, comm=COMM):
+    return shaken(square(cells, comm), 0.2, cells)
 
 
 def sphere(cells):
     """Part of a sphere around the north pole, whose rim is four arcs."""
-    flat = square(cells, low=-1.0, high=1.0)
-    cut, nodes = releases.geometry_dofs(flat), flat.geometry.x
-    own = flat.topology.index_map(2).size_local
-    points = nodes / np.sqrt(1 + (nodes**2).sum(axis=1, keepdims=True))
-    points[:, 2] = 1 / np.sqrt(1 + (nodes**2).sum(axis=1))
-    numbers = flat.geometry.input_global_indices
-    everywhere = np.concatenate(COMM.allgather(np.column_stack([numbers, points])))
-    _, first = np.unique(everywhere[:, 0], return_index=True)
-    table = everywhere[first, 1:]
-    mine = np.array_split(np.arange(len(table)), COMM.size)[COMM.rank]
-    return releases.create_mesh(COMM, np.asarray(numbers)[cut[:own]], table[mine], "triangle")
+    points, triangles = grid(cells, cells, (-1, -1), (2, 2))
+    points = np.column_stack([points, np.ones(len(points))])
+    return mesh_of(points / np.linalg.norm(points, axis=1, keepdims=True), triangles)
 
 
 def counts(answer):
@@ -94,37 +70,47 @@ def difference(one, other):
 @pytest.mark.parametrize(("method", "eps"), [("penalty", "auto"), ("penalty", 1e-12), ("vi", "auto")])
 def test_counts_do_not_grow_when_h_halves(method, eps):
     """O(1) Newton steps on a mesh that has no coarser one, from 1.7e3 to 2.6e4 unknowns."""
-    found = [counts(solve(Scene(mesh=square(cells), **BALL), method=method, eps=eps)) for cells in (40, 80, 160)]
+    found = [counts(solve(Scene(mesh=uneven(cells), **BALL), method=method, eps=eps)) for cells in (40, 80, 160)]
     newton, krylov = zip(*found, strict=True)
     assert max(newton) <= 6 and max(krylov) <= 20
     assert newton[-1] - newton[0] <= 2
 
 
 SCENES = {
-    "ball": lambda: Scene(mesh=square(48), **BALL),
-    "upper": lambda: Scene(mesh=square(48), tension=2, load=8, upper="0.5 + 0.2*x"),
-    "both": lambda: Scene(mesh=square(48), tension=1, load="20*sin(2*x)", lower=-0.3, upper="0.4 - 0.05*x^2"),
-    "foundation": lambda: Scene(mesh=square(48), tension=1, foundation=3, load=-4, lower="-0.5 - 0.1*y"),
+    "ball": lambda: Scene(mesh=uneven(48), **BALL),
+    "upper": lambda: Scene(mesh=uneven(48), tension=2, load=8, upper="0.5 + 0.2*x"),
+    "both": lambda: Scene(mesh=uneven(48), tension=1, load="20*sin(2*x)", lower=-0.3, upper="0.4 - 0.05*x^2"),
+    "foundation": lambda: Scene(mesh=uneven(48), tension=1, foundation=3, load=-4, lower="-0.5 - 0.1*y"),
     "spring and free boundary": lambda: Scene(
-        mesh=square(48), tension=1, load=-1, lower="-0.4 - 0.1*x",
+        mesh=uneven(48), tension=1, load=-1, lower="-0.4 - 0.1*x",
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "spring": 2}],
     ),
-    "anisotropic": lambda: Scene(mesh=square(48), tension=[[4, 1], [1, 1]], load=-3, lower=-0.4),
+    "anisotropic": lambda: Scene(mesh=uneven(48), tension=[[4, 1], [1, 1]], load=-3, lower=-0.4),
     "boundary obstacle": lambda: Scene(
-        mesh=square(48), tension=1, load=-0.3,
+        mesh=uneven(48), tension=1, load=-0.3,
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": "-2 + 0.5*y"}],
     ),
     "held by contact alone": lambda: Scene(
-        mesh=square(48), tension=1, load=-1, lower="0.2*cos(2*x) + 0.1*y", boundary=[]
+        mesh=uneven(48), tension=1, load=-1, lower="0.2*cos(2*x) + 0.1*y", boundary=[]
     ),
-    "interval": lambda: Scene(mesh=interval(2000), tension=1, load=-8, lower="-1 - 0.2*x"),
+    "interval": lambda: Scene(
+        mesh=shaken(dmesh.create_interval(COMM, 2000, [-1.0, 1.0]), 0.25, 2000, 1.0), tension=1, load=-8,
+        lower="-1 - 0.2*x",
+    ),
     "cube": lambda: Scene(mesh=cube(13), tension=1, load=-8, lower="-0.4 + 0.1*x*y"),
-    "quadrilaterals": lambda: Scene(mesh=quadrilaterals(48), **BALL),
+    "quadrilaterals": lambda: Scene(mesh=shaken(square(48, kind=dmesh.CellType.quadrilateral), 0.15, 48), **BALL),
     "surface": lambda: Scene(mesh=sphere(48), tension=1, load=-1, lower="0.9*z - 1.3", boundary=[{"value": "-x^2"}]),
+    "P2": lambda: Scene(mesh=uneven(48), tension=1, load=8, upper="0.5 + 0.2*x").change({"solve.element": "P2"}),
+    "P1-voronoi": lambda: Scene(mesh=square(48), tension=1, load=8, upper="0.5 + 0.2*x").change(
+        {"solve.element": "P1-voronoi"}
+    ),
+    "ranks without cells": lambda: Scene(  # the last one, which runs on several ranks
+        mesh=by_hand(*grid(48, 48, (-1, -1), (2, 2))), tension=1, load=-4, lower="-0.3 - 0.1*x"
+    ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", slow_except(list(SCENES), "ball", "boundary obstacle", "cube", "surface"))
+@pytest.mark.parametrize("name", slow_except(SCENES, "ball", "boundary obstacle", "cube", "ranks without cells"))
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 def test_the_solution_is_that_of_a_cold_start(name, method):
     """To the tolerance of the solver, whatever the data, in few steps on the finest level."""
@@ -136,18 +122,6 @@ def test_the_solution_is_that_of_a_cold_start(name, method):
     assert counts(ours)[0] <= 6 and counts(ours)[1] <= 20
 
 
-@pytest.mark.parametrize("element", ["P2", "P1-voronoi"])
-def test_other_elements_on_triangles(element):
-    """P2 is above the algebraic levels of P1 on the same mesh."""
-    scene = Scene(mesh=square(48), tension=1, load=8, upper="0.5 + 0.2*x")
-    if element != "P2":
-        scene = Scene(mesh=dmesh.create_rectangle(COMM, [np.full(2, -2.0), np.full(2, 2.0)], [48, 48]), tension=1,
-                      load=8, upper="0.5 + 0.2*x")  # fmt: skip
-    ours, cold = solve(scene, element=element), solve(scene, element=element, start="cold")
-    assert difference(ours, cold) <= 1e-9
-    assert counts(ours)[0] <= 6 < counts(cold)[0]
-
-
 def levels_of(mesh, **data):
     """The problem of a scene, and its algebraic levels from the finest on."""
     context = SolverContext(Scene(mesh=mesh, **{"tension": 1, "lower": -1, **data}))
@@ -156,7 +130,7 @@ def levels_of(mesh, **data):
 
 def test_given_values_are_interpolated_from_given_values():
     """So that a coarse correction is 0 where u is given; and no coarse weight is negative."""
-    problem, levels = levels_of(square(60), boundary=[{"where": "x < 0", "value": 0}])
+    problem, levels = levels_of(uneven(60), boundary=[{"where": "x < 0", "value": 0}])
     for coarse in levels:
         transfer = coarse.finer.transfer
         leak = transfer.interpolate((~coarse.fixed).astype(float))
@@ -167,7 +141,7 @@ def test_given_values_are_interpolated_from_given_values():
 
 def test_coarse_levels_begin_in_contact_as_the_finest_does():
     """Where contact alone holds u, the first step of a start without contact would have no solution."""
-    problem, levels = levels_of(square(60), boundary=[], load=-1, lower="0.2*cos(2*x) + 0.1*y")
+    problem, levels = levels_of(uneven(60), boundary=[], load=-1, lower="0.2*cos(2*x) + 0.1*y")
     assert levels and largest(COMM, problem.cold_start() - problem.lower) < 0
     for coarse in levels:
         finer = coarse.finer
@@ -178,7 +152,7 @@ def test_coarse_levels_begin_in_contact_as_the_finest_does():
 def test_weights_of_a_boundary_stay_there():
     """Of a boundary node that is interpolated from nodes inside as well, those on the boundary get all the weight."""
     problem, levels = levels_of(
-        square(60), lower=None, boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": -1}]
+        uneven(60), lower=None, boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": -1}]
     )
     x = problem.level.points[0, : problem.level.owned]
     for coarse in levels:
@@ -204,21 +178,21 @@ def test_counts_are_those_of_one_rank(method):
     Gauss-Seidel smooths on each rank alone, so a linear solve may need one iteration more. DOLFINx cuts the mesh in
     another way in each run.
     """
-    ours = solve(Scene(mesh=square(80), **BALL), method=method)
-    alone = solve(Scene(mesh=square(80, MPI.COMM_SELF), **BALL), method=method)
+    ours = solve(Scene(mesh=uneven(80), **BALL), method=method)
+    alone = solve(Scene(mesh=uneven(80, MPI.COMM_SELF), **BALL), method=method)
     (steps, iterations), (steps_alone, iterations_alone) = counts(ours), counts(alone)
     assert steps == steps_alone
     assert abs(iterations - iterations_alone) <= steps
     assert ours.record["contact"]["area"] == pytest.approx(alone.record["contact"]["area"], rel=1e-9)
     assert ours.record["energy"] == pytest.approx(alone.record["energy"], rel=1e-9)
-    levels = [[one.dofs for one in levels_of(square(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
+    levels = [[one.dofs for one in levels_of(uneven(80, comm))[1]] for comm in (COMM, MPI.COMM_SELF)]
     assert levels[0] == levels[1]
 
 
 def test_levels_depend_on_neither_unit_nor_place():
     """Coarse nodes of a mesh in other units, elsewhere, are the same points."""
     factor = 2.0**-30
-    meshes = square(60), square(60)
+    meshes = uneven(60), uneven(60)
     meshes[1].geometry.x[:, :2] = factor * (meshes[1].geometry.x[:, :2] + 8)
     found = []
     for mesh in meshes:
@@ -233,12 +207,6 @@ def test_levels_depend_on_neither_unit_nor_place():
     for ours, theirs in zip(found[:half], found[half:], strict=True):
         assert ours.shape == theirs.shape
         assert np.allclose(theirs / factor - 8, ours, rtol=0, atol=1e-12)
-
-
-def test_ranks_without_cells():
-    """They work along."""
-    scene = Scene(mesh=by_hand(*grid(48, 48, (-1, -1), (2, 2))), tension=1, load=-4, lower="-0.3 - 0.1*x")
-    assert counts(solve(scene))[0] <= 6
 
 
 @pytest.mark.slow
@@ -261,7 +229,7 @@ def test_a_slit():
 @pytest.mark.parametrize("degree", [1, 2])
 def test_own_form(degree):
     """From u = 0 on coarse levels, later from u; with coefficients that change, and the answers of a new problem."""
-    V = releases.functionspace(square(60), "Lagrange", degree)
+    V = releases.functionspace(uneven(60), "Lagrange", degree)
     mesh = releases.settle(V.mesh)
     mu, f = fem.Constant(mesh, 1.0), fem.Constant(mesh, -1.0)
     facets = np.asarray(dmesh.exterior_facet_indices(mesh.topology))
@@ -289,7 +257,7 @@ def test_in_time(rate):
     """Levels keep step with loads, obstacles and masses that change."""
     moments = {"end": 1, "steps": 2, **({"start": 0} if rate else {})}
     changing = {"tension": 1, "load": "-3*t", "lower": "-0.5 - 0.1*t*x", **({"rate": rate} if rate else {})}
-    scene = Scene(mesh=square(48), **changing, time=moments)
+    scene = Scene(mesh=uneven(48), **changing, time=moments)
     ours, cold = solve(scene), solve(scene, start="cold")
     assert difference(ours, cold) <= 1e-9
     assert rate or ours.record["newton_iterations"] <= 6  # with a rate the start is the last moment
@@ -303,7 +271,7 @@ def test_where_levels_do_not_help_a_cold_start_does(monkeypatch):
         self.matrices.stiffness.scale(np.nan)
 
     made = CoarseSystem.__init__
-    scene = Scene(mesh=square(48), tension=1, load=8, upper=0.3)
+    scene = Scene(mesh=uneven(48), tension=1, load=8, upper=0.3)
     cold = solve(scene, start="cold")
     monkeypatch.setattr(CoarseSystem, "__init__", spoiled)
     assert difference(solve(scene), cold) <= 1e-9
@@ -312,7 +280,7 @@ def test_where_levels_do_not_help_a_cold_start_does(monkeypatch):
 def test_without_a_compiler(monkeypatch):
     """There are no algebraic levels then, and a cold start instead."""
     monkeypatch.setattr(hierarchy, "kernels", lambda comm: None)
-    scene = Scene(mesh=square(48), tension=1, load=8, upper=0.3)
+    scene = Scene(mesh=uneven(48), tension=1, load=8, upper=0.3)
     ours, cold = solve(scene), solve(scene, start="cold")
     assert counts(ours) == counts(cold)
     assert difference(ours, cold) <= 1e-12

@@ -21,7 +21,6 @@ from fenicsx_obstacle import (
     compare,
     contact_pressure,
     penalty,
-    releases,
     solve,
     study,
 )
@@ -31,7 +30,7 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.releases import functionspace
 from tests.conftest import COMM, membrane
-from tests.helpers import Membrane
+from tests.helpers import Membrane, mixed_space
 
 
 def bowl(x):
@@ -106,16 +105,14 @@ def test_obstacles_that_cannot_be_taken():
     """Each message names the argument and the remedy, on all ranks together; nothing ends the process."""
     own, other = Own(), square(5)
     V, mesh = own.V, own.V.mesh
-    vector = getattr(fem, "VectorFunctionSpace", None)
-    many = vector(mesh, ("Lagrange", 1)) if vector else fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     x = ufl.SpatialCoordinate(mesh)
     cases = [
-        (
-            function(square(6, low=0.1), bowl),
-            r"upper is a Function on another mesh, .* at \(0, 0\): is this point outside",
-        ),
+        (function(square(6, low=0.1), bowl), r"upper is a Function on another mesh, .* at \(0, 0\): is this point out"),
         (function(square(6, dmesh.CellType.quadrilateral, high=0.9), bowl), r"on another mesh, .* at \(0, 0\.9167\)"),
-        (fem.Function(many), "a Function with 2 components: expected a scalar Function"),
+        (
+            fem.Function(functionspace(mesh, "Lagrange", 1, 2)),
+            "a Function with 2 components: expected a scalar",
+        ),
         (function(mesh, bowl, "DG", 0), "not continuous"),
         (own.u, r"upper is u itself.*u\.copy\(\)"),
         (0.3 + own.u**2, "upper depends on u"),
@@ -126,11 +123,9 @@ def test_obstacles_that_cannot_be_taken():
         (np.full(13**2, 0.3), r"upper = array\(.*expected a number, a Constant"),
         ("0.3", r"upper = '0\.3': expected a number, a Constant.*a formula as text is for Scene"),
         (True, "upper = True: expected a number, a Constant"),
-        ([0.3], r"upper = \[0\.3\]: expected"),
         (lambda: 0.3, r"the callable takes x of shape \(3, n\).*TypeError"),
         (lambda x: x, "the callable takes x of shape"),
         (lambda x, y: 0.3 + y, "upper: the callable takes two arguments"),
-        (lambda x: "high", "the callable takes x of shape"),
         (0.3 + 0.1j, r"upper = \(0\.3\+0\.1j\): expected a number"),
         (fem.Constant(mesh, 0.3 + 0.1j), "upper is complex: expected real values"),
         (fem.Function(V, dtype=np.complex128), "upper is complex: expected real values"),
@@ -195,6 +190,11 @@ def test_forms_and_conditions_of_another_kind():
         ((F, u), {"energy": F}, "energy must be a functional of u"),
         ((F, u), {"energy": 1}, "ObstacleProblem: energy = 1: expected a UFL form, a functional of u"),
         ((F, u), {"J": 1}, "ObstacleProblem: J = 1: expected a UFL form, a bilinear form"),
+        ((F, u), {"J": (u * v * ufl.TrialFunction(V) + v) * ufl.dx}, "J must be bilinear.* each of them exactly once"),
+        *(
+            ((form, u), {}, r"F must be linear in one test function.*must hold it exactly once")
+            for form in (u * v * v * ufl.dx, u * ufl.sin(v) * ufl.dx, u / v * ufl.dx, F + (u * v + u) * ufl.dx)
+        ),
         ((F, u), {"upper": None}, "ObstacleProblem: give an obstacle, lower= or upper="),
         ((F, u), {"lower": 0.4}, "lower is above upper"),
         ((F, u), {"lower": 0.1}, "ObstacleProblem: a value of bcs lies below the lower obstacle: 0 against"),
@@ -207,27 +207,6 @@ def test_forms_and_conditions_of_another_kind():
     for (form, unknown), given, message in cases:
         with pytest.raises(InputError, match=message):
             ObstacleProblem(form, unknown, **{"bcs": [own.bc], "upper": 0.3, **given})
-
-
-def test_names_of_arguments():
-    """An unknown keyword, and an argument that needs a keyword: the message names the argument, or a similar one."""
-    own = Own()
-    u, v = own.u, ufl.TestFunction(own.V)
-    problem = ObstacleProblem(own.F, u, bcs=own.bc, upper=0.3)
-    cases = [
-        (lambda: ObstacleProblem(own.F, u, bc=own.bc, upper=0.3), "there is no argument 'bc'; did you mean 'bcs'"),
-        (
-            lambda: ObstacleProblem(own.F, u, [own.bc], upper=0.3),
-            "^ObstacleProblem: all arguments except F and u need a keyword, such as bcs=",
-        ),
-        (lambda: problem.solve(methd="vi"), "solve: there is no argument 'methd'; did you mean 'method'"),
-        (lambda: problem.solve(1e-6), "solve: all arguments need a keyword, such as eps="),
-        (lambda: penalty(u, v, uper=0.3, eps=1e-3), "penalty: there is no argument 'uper'; did you mean 'upper'"),
-        (lambda: contact_pressure(u, eps=1e-3, lover=0.3), "there is no argument 'lover'; did you mean 'lower'"),
-    ]
-    for call, message in cases:
-        with pytest.raises(InputError, match=message):
-            call()
 
 
 def test_warnings_of_tags_and_conditions_without_effect():
@@ -284,36 +263,14 @@ def test_forms_whose_derivative_is_zero(eps):
         assert len(set(COMM.allgather(str(raised.value)))) == 1
 
 
-def test_forms_that_are_not_linear_in_the_test_function():
-    """Terms with the test function twice, in a function, in a denominator or not at all."""
-    own = Own()
-    u, v, dx = own.u, ufl.TestFunction(own.V), ufl.dx(domain=own.V.mesh)
-    for F in (u * v * v * dx, u * ufl.sin(v) * dx, u / v * dx, own.F + (u * v + u) * dx):
-        with pytest.raises(InputError, match=r"F must be linear in one test function.*must hold it exactly once"):
-            ObstacleProblem(F, u, bcs=own.bc, upper=0.3)
-    with pytest.raises(InputError, match=r"J must be bilinear.*must hold each of them exactly once"):
-        w = ufl.TrialFunction(own.V)
-        ObstacleProblem(own.F, u, bcs=own.bc, upper=0.3, J=(u * v * w + v) * dx)
+SPACES = {"P3": ("Lagrange", 3), "DG": ("DG", 1), "CR": ("CR", 1), "vector": ("Lagrange", 1, 2), "mixed": None}
 
 
-@pytest.mark.parametrize("space", ["P3", "DG", "CR", "vector", "mixed", "quadrature"])
+@pytest.mark.parametrize("space", SPACES)
 def test_unknowns_of_another_space(space):
     """Another space than Lagrange of degree 1 or 2 is named, and rejected before anything is compiled."""
-    mesh = square(4)
-    if releases.OLD:
-        P1 = ufl.FiniteElement("Lagrange", "triangle", 1)
-        made = {"vector": ufl.VectorElement("Lagrange", "triangle", 1), "mixed": P1 * P1,
-                "quadrature": ufl.FiniteElement("Quadrature", "triangle", 1, quad_scheme="default")}  # fmt: skip
-    else:
-        import basix.ufl
-
-        P1 = basix.ufl.element("Lagrange", "triangle", 1)
-        made = {"vector": basix.ufl.element("Lagrange", "triangle", 1, shape=(2,)),
-                "mixed": basix.ufl.mixed_element([P1, P1]),
-                "quadrature": basix.ufl.quadrature_element("triangle", degree=1)}  # fmt: skip
-    make = getattr(fem, "functionspace", None) or fem.FunctionSpace
-    usual = {"P3": ("Lagrange", 3), "DG": ("DG", 1), "CR": ("CR", 1)}
-    u = fem.Function(make(mesh, made.get(space) or usual[space]))
+    mesh, P1 = square(4), ("Lagrange", 1, None)
+    u = fem.Function(mixed_space(mesh, P1, P1) if space == "mixed" else functionspace(mesh, *SPACES[space]))
     v = ufl.TestFunction(u.function_space)
     scalar = "u must be a continuous Lagrange Function of degree 1 or 2 and one"
     with pytest.raises(InputError, match="u is vector-valued: measure = None" if space == "vector" else scalar):
@@ -328,22 +285,26 @@ def test_names_of_scenes():
 
 
 SCENE = membrane(load=8, upper=0.3).change({"mesh.cells": 4})
+OWN = Own(square(2))
 WRONG = {
+    "there is no argument 'bc'; did you mean 'bcs'": lambda: OWN.problem(bc=OWN.bc, upper=0.3),
+    "^ObstacleProblem: all arguments except F and u need a keyword, such as bcs=": lambda: ObstacleProblem(
+        OWN.F, OWN.u, [OWN.bc], upper=0.3
+    ),
+    "solve: there is no argument 'methd'; did you mean 'method'": lambda: OWN.problem(upper=0.3).solve(methd="vi"),
+    "solve: all arguments need a keyword, such as eps=": lambda: OWN.problem(upper=0.3).solve(1e-6),
+    "penalty: there is no argument 'uper'; did you mean 'upper'": lambda: penalty(OWN.u, OWN.v, uper=0.3, eps=1e-3),
+    "there is no argument 'lover'; did you mean 'lower'": lambda: contact_pressure(OWN.u, eps=1e-3, lover=0.3),
     "solve: scene = None: expected a Scene, a file": lambda: solve(None),
-    "solve: scene = 3: expected a Scene": lambda: solve(3),
     "solve: tol = '0.3': expected a number": lambda: solve(SCENE, tol="0.3"),
-    "solve: tol = True: expected a number": lambda: solve(SCENE, tol=True),
     "--tol 5: the tolerance is relative and must be below 1": lambda: solve(SCENE, tol=5),
     "unknown effect 'bcs'; u on the boundary is given by boundary=": lambda: Scene(mesh={}, tension=1, bcs=[]),
     "unknown effect 'uper'; did you mean 'upper'": lambda: Scene(mesh={}, tension=1, uper=0.3),
     r"mesh = 'a\.msh': expected a DOLFINx mesh or a table such as .*file": lambda: Scene(mesh="a.msh", tension=1),
     "boundary: expected tables such as .*conditions of DOLFINx are for ObstacleProblem": lambda: Scene(
-        mesh={"shape": "disk"}, tension=1, boundary=[Own(square(2)).bc]
+        mesh={"shape": "disk"}, tension=1, boundary=[OWN.bc]
     ),
-    "expected tables such as .*for ObstacleProblem": lambda: Scene(
-        mesh={"shape": "disk"}, tension=1, boundary=Own(square(2)).bc
-    ),
-    "Elasticity: there is no argument 'nu'": lambda: Elasticity(Own(square(2)).u, young=1, nu=0.3),
+    "Elasticity: there is no argument 'nu'": lambda: Elasticity(OWN.u, young=1, nu=0.3),
     "ball_gap: there is no argument 'center'; did you mean 'centre'": lambda: ball_gap(0, 0, center=0, radius=1),
     "solve: budget = 5: expected a text such as '60s'": lambda: solve(SCENE, tol=0.3, budget=5),
     "--budget 5: expected limits such as": lambda: solve(SCENE, tol=0.3, budget="5"),
@@ -358,14 +319,12 @@ WRONG = {
     r"solve: comm = None: expected mpi4py\.MPI\.Comm": lambda: solve(SCENE, comm=None),
     "solve: keep = 3: expected a text or a path": lambda: solve(SCENE, keep=3),
     "study: vary = None: expected values by keys": lambda: study(SCENE, vary=None),
-    r"study: vary = \['cells'\]: expected values by keys": lambda: study(SCENE, vary=["cells"]),
     "study: vary = {}: name a key": lambda: study(SCENE, vary={}),
     "unknown key 'cels'; did you mean 'cells'": lambda: study(SCENE, vary={"cels": [4]}),
     r"cells = \[\] cannot vary: expected a list of values": lambda: study(SCENE, vary={"cells": []}),
     "cells = 8 cannot vary: expected a list": lambda: study(SCENE, vary={"cells": 8}),
     "unknown key 'epps'; did you mean 'eps'": lambda: study(SCENE, vary={"cells": [4]}, epps=1),
     "compare: a = None: expected a Solution, or the folder": lambda: compare(None, None),
-    "compare: b = 3: expected a Solution": lambda: compare("folder", 3),
     r"Scene\.read: path = None: expected a text or a path": lambda: Scene.read(None),
     r"Scene\.change: changes = None: expected a dict": lambda: SCENE.change(None),
     "unknown table or key '3'": lambda: SCENE.change({3: 4}),
@@ -379,7 +338,7 @@ WRONG = {
 
 @pytest.mark.parametrize("message", WRONG)
 def test_wrong_arguments_are_named(message):
-    """An InputError with the argument, what came and what is expected, before anything is computed."""
+    """An InputError with the argument, or one that is similar, what came and what is expected."""
     with pytest.raises(InputError, match=message):
         WRONG[message]()
 

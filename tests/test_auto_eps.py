@@ -14,6 +14,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import functionspace
 from tests.conftest import COMM
 from tests.helpers import Membrane, outline
+from tests.test_elastic import Body, strain_of
 
 NOTHING = 1e20  # no obstacle
 
@@ -35,6 +36,10 @@ class Form:
         return ObstacleProblem(self.F, self.u, bcs=self.bc, **obstacles)
 
 
+def squared(u):
+    return ufl.inner(ufl.grad(u), ufl.grad(u))
+
+
 def two_parts(place, contrast):
     return lambda u, x: ufl.conditional(ufl.lt(x[0], place), 1.0, contrast)
 
@@ -46,11 +51,8 @@ def only_left(place, height):
 CASES = {
     "porous medium": (Form(2, 8, lambda u, x: 1e-6 + u**2, 3.0), {"upper": 0.2}),
     "porous medium in space": (Form(3, 4, lambda u, x: 1e-8 + u**4, 2.0), {"lower": -0.01, "upper": 0.1}),
-    "power law": (Form(1, 60, lambda u, x: 1e-8 + ufl.inner(ufl.grad(u), ufl.grad(u)), 4.0), {"upper": 0.2}),
-    "power law, P2": (
-        Form(2, 6, lambda u, x: (1e-6 + ufl.inner(ufl.grad(u), ufl.grad(u))) ** 0.5, 3.0, degree=2),
-        {"upper": 0.15},
-    ),
+    "power law": (Form(1, 60, lambda u, x: 1e-8 + squared(u), 4.0), {"upper": 0.2}),
+    "power law, P2": (Form(2, 6, lambda u, x: (1e-6 + squared(u)) ** 0.5, 3.0, degree=2), {"upper": 0.15}),
     "mostly soft": (Form(2, 16, two_parts(0.25, 1e-6)), {"upper": only_left(0.25, 2e-3)}),
     "somewhat soft": (Form(2, 16, two_parts(0.25, 2e-2)), {"upper": only_left(0.25, 2e-3)}),
     "mostly stiff": (Form(2, 16, two_parts(0.25, 1e6), -1.0), {"lower": -1e-8}),
@@ -82,12 +84,9 @@ def test_a_default_solve_is_the_inequality(name):
 @pytest.mark.parametrize("start", [1e-3, 1e-4])
 def test_a_glacier_from_flat_starts(start):
     """-(|u'|^2 u')' = a, u >= 0; exact: max u = 0.119549 and a contact length of 0.4, whatever the start."""
-
-    def load(x):
-        return ufl.conditional(ufl.lt(abs(x[0] - 0.5), 0.15), 1.0, -1.0)
-
-    form = Form(1, 200, lambda u, x: ufl.inner(ufl.grad(u), ufl.grad(u)))
-    form.F -= (load(ufl.SpatialCoordinate(form.V.mesh)) - 1.0) * ufl.TestFunction(form.V) * ufl.dx
+    form = Form(1, 200, lambda u, x: squared(u))
+    x, v = ufl.SpatialCoordinate(form.V.mesh), ufl.TestFunction(form.V)
+    form.F += ufl.conditional(ufl.lt(abs(x[0] - 0.5), 0.15), 0.0, 2.0) * v * ufl.dx  # a = 1, and -1 outside
     solution = form.problem(start, lower=0.0).solve()
     assert largest(COMM, form.u.x.array) == pytest.approx(0.119549, rel=2e-3)
     assert solution.area == pytest.approx(0.4, abs=2e-3)
@@ -96,18 +95,12 @@ def test_a_glacier_from_flat_starts(start):
 @pytest.mark.parametrize("contrast", [1e2, 1e6])
 def test_a_body_of_two_materials(contrast):
     """Only a quarter of the foot is stiff, and bears nearly all of the force."""
-    mesh = dmesh.create_unit_square(COMM, 12, 12)
-    V = functionspace(mesh, "Lagrange", 1, 2)
-    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
-    E = ufl.conditional(ufl.lt(x[0], 0.25), contrast, 1.0)
-    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1))
-    bc = fem.dirichletbc(np.array([0.0, -0.01]), top, V)
-    foot = dmesh.locate_entities_boundary(mesh, 1, lambda x: np.isclose(x[1], 0))
-    tags = dmesh.meshtags(mesh, 1, np.sort(foot), np.full(len(foot), 3, dtype=np.int32))
-    below = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(3)
-    F = E * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
-    down = ufl.as_vector([0.0, -1.0])
-    problem = ObstacleProblem(F, u, bcs=bc, upper=0.0, of=ufl.dot(u, down), measure=below)
+    body = Body(dmesh.CellType.triangle, 1, [12, 12])
+    foot = body.tagged(below=lambda x: np.isclose(x[1], 0))(3)
+    E = ufl.conditional(ufl.lt(body.x[0], 0.25), contrast, 1.0)
+    F = E * ufl.inner(strain_of(body.u), strain_of(body.v)) * ufl.dx
+    bcs = [body.held(lambda x: np.isclose(x[1], 1), axis, value) for axis, value in enumerate((0.0, -0.01))]
+    problem = ObstacleProblem(F, body.u, bcs=bcs, upper=0.0, of=-body.u[1], measure=foot)
     exact, found = problem.solve(method="vi"), problem.solve()
     assert found.force.upper == pytest.approx(exact.force.upper, rel=1e-3)
     assert found.penetration <= 1e-3 * 0.01
@@ -164,7 +157,7 @@ def test_scenes_with_power_laws_and_large_loads(exponent, load):
 @pytest.mark.parametrize("dim", [1, 2])
 def test_the_remedy_where_nothing_converges(dim, load):
     """A film beyond its limit load has no solution. Nobody gave an eps, and a larger one is no remedy."""
-    form = Form(dim, 8, lambda u, x: 1 / ufl.sqrt(1 + ufl.inner(ufl.grad(u), ufl.grad(u))), load)
+    form = Form(dim, 8, lambda u, x: 1 / ufl.sqrt(1 + squared(u)), load)
     with pytest.raises(NotConverged) as caught:
         form.problem(lower=-1.0).solve()
     words = str(caught.value)
@@ -288,17 +281,14 @@ def test_no_false_alarm(name):
 
 def test_bodies_on_springs_that_push():
     """An elastic body on an obstacle has no warning; on springs that push beyond its stiffness it has."""
-    mesh = MESHES["triangle"](8)
-    V = functionspace(mesh, "Lagrange", 1, 2)
-    u, v, k = fem.Function(V), ufl.TestFunction(V), fem.Constant(mesh, 0.0)
-    top = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 1))
-    bc = fem.dirichletbc(np.zeros(2), top, V)
-    F = (ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) - k * ufl.inner(u, v) - 0.01 * v[0]) * ufl.dx
-    down = ufl.as_vector([0.0, -1.0])
+    body = Body(dmesh.CellType.triangle, 1, [8, 8])
+    u, v, k = body.u, body.v, fem.Constant(body.mesh, 0.0)
+    bcs = [body.held(lambda x: np.isclose(x[1], 1), axis) for axis in range(2)]
+    F = (ufl.inner(strain_of(u), strain_of(v)) - k * ufl.inner(u, v) - 0.01 * v[0]) * ufl.dx
     for k.value, some in ((0.0, 0), (4.0, 1)):
         u.x.array[:] = 0.0
         with warnings.catch_warnings(record=True, action="always") as caught:
-            ObstacleProblem(F, u, bcs=bc, upper=1.0, of=ufl.dot(u, down), measure=ufl.ds).solve()
+            ObstacleProblem(F, u, bcs=bcs, upper=1.0, of=-u[1], measure=ufl.ds).solve()
         words = [one for one in caught if "positive definite" in str(one.message)]
         assert len(words) == some * (COMM.rank == 0)
 

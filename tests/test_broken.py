@@ -9,14 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from fenicsx_obstacle import InputError, Scene, solve
+from fenicsx_obstacle import solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
 from tests.cli.broken.case import Broken, complaint, time_limit
 from tests.cli.broken.collection import RIGHT, collect, make_meshes
 from tests.cli.broken.files import contradictions
 from tests.cli.broken.inside import attempt
-from tests.cli.broken.lines import LINES, scene_text
 from tests.cli.broken.options import RESULT
 from tests.conftest import COMM
 
@@ -81,19 +80,3 @@ def test_complaints(tmp_path):
     Path(place / "out").mkdir()
     assert complaint(case, 2, good, 0.1, place) == "left out behind"
     shutil.rmtree(place)
-
-
-def test_messages_name_the_table(folder):
-    """Obstacles that cross and a u that nothing holds, in a scene and for a user's form: the table to change."""
-    with pytest.raises(InputError, match=r"\[obstacle\] lower is above upper: by 0.25"):
-        solve(Scene.read(on_root(COMM, scene_with, folder, {"[obstacle] lower": '"x - 0.25"'})))
-    nothing = {key: None for key in LINES if "bound" in key or "obst" in key}
-    with pytest.raises(InputError, match=r"\[\[boundary\]\] value"):
-        solve(Scene.read(on_root(COMM, scene_with, folder, nothing)))
-
-
-def scene_with(folder, changed):
-    """A scene file with some lines changed."""
-    file = folder / "scene.toml"
-    file.write_text(scene_text({**LINES, **changed}))
-    return file

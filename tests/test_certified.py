@@ -83,28 +83,19 @@ def test_an_obstacle_that_jumps_beside_the_boundary():
 
 
 @pytest.mark.parametrize("element", slow_except(["P1", "P2"], "P1"))
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        ({"load": "-0.01*r^(-1.9)", "mesh": AROUND}, "the load may be infinite"),
-        ({"load": "1/(x - 0.503)"}, "the load may be infinite"),
-        ({"load": 1, "tension": "abs(x - 0.503)"}, "the tension may be 0"),
-        ({"load": 1, "tension": "1/(y - 0.503)^2"}, "the tension may be 0, negative, infinite"),
-        (
-            {"load": -1, "boundary": [{"where": "x == 0 and y < 0.311", "value": 0}]},
-            r"near \(0, 0.2812|near \(0, 0.3125",
-        ),
-        ({"load": -1, "boundary": [{"where": "x == 0 and y < 0.375", "value": 0}]}, "not made of whole edges"),
-        ({"load": -1, "boundary": [{"where": "x > 0.3", "value": 0}], "mesh": DISK}, "not made of whole edges"),
-        (
-            {"load": -1, "boundary": [{"where": "x == 0 or abs(y - 0.503) < 1e-3", "value": 0}]},
-            "not made of whole edges",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("data", "reason"), [
+    ({"load": "-0.01*r^(-1.9)", "mesh": AROUND}, "the load may be infinite"),
+    ({"load": "1/(x - 0.503)"}, "the load may be infinite"),
+    ({"load": 1, "tension": "abs(x - 0.503)"}, "the tension may be 0"),
+    ({"load": 1, "tension": "1/(y - 0.503)^2"}, "the tension may be 0, negative, infinite"),
+    ({"boundary": [{"where": "x == 0 and y < 0.311", "value": 0}]}, r"near \(0, 0.2812|near \(0, 0.3125"),
+    ({"boundary": [{"where": "x == 0 and y < 0.375", "value": 0}]}, "not made of whole edges"),
+    ({"boundary": [{"where": "x > 0.3", "value": 0}], "mesh": DISK}, "not made of whole edges"),
+    ({"boundary": [{"where": "x == 0 or abs(y - 0.503) < 1e-3", "value": 0}]}, "not made of whole edges"),
+])  # fmt: skip
 def test_indicators(element, data, reason):
     """Poles, and parts of the boundary that end inside an edge: an indicator that says where."""
-    bound = bounded(element, **data).bound
+    bound = bounded(element, **{"load": -1, **data}).bound
     assert bound.words.startswith("an indicator: ") and not bound.guaranteed
     assert re.search(reason, bound.words), bound.words
 
@@ -146,12 +137,10 @@ def test_boundary_values_that_jump_are_rejected(value):
     answer = solve(scene)
     assert f"jump at {JUMPS[value]}" in answer.record["boundary_jump"]
     assert f"warning: {answer.record['boundary_jump']}" in answer.summary()
+    message = rf"\(no. 1\) value = .*: the boundary values jump at {re.escape(JUMPS[value])}.*, from"
     for options in ({"bound": True}, {"tol": 0.1}, {"bound": True, "element": "P2"}):
-        with pytest.raises(
-            InputError, match=r"\(no. 1\) value = .*: the boundary values jump at \(.*\), from"
-        ) as error:
+        with pytest.raises(InputError, match=message):
             solve(scene, **options)
-        assert f"jump at {JUMPS[value]}" in str(error.value)
 
 
 @pytest.mark.parametrize("value", slow_except(CONTINUOUS, *CONTINUOUS[:4]))

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import termios
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +48,10 @@ def test_saved_on_three_ranks_plotted_on_one(tmp_path):
 @pytest.mark.parametrize("ranks", slow_except([1, 2], 2))
 def test_unconverged_exits_3_and_keeps_what_was_computed(ranks, tmp_path):
     limit = ["--start", "cold", "--", "-penalty_snes_max_it", "8", "-penalty_snes_linesearch_type", "basic"]
-    done = run(
-        "study", DEMOS / "disk.toml", "--vary", "eps=1e-1..1e-6", "--output", tmp_path / "out", *limit, ranks=ranks
-    )
+    study = ["study", DEMOS / "disk.toml", "--vary", "eps=1e-1..1e-6", "--output", tmp_path / "out"]
+    done = run(*study, *limit, ranks=ranks)
     assert done.returncode == 3, done.stderr
-    assert "limit of steps was reached (DIVERGED_MAX_IT)" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert "limit of steps was reached (DIVERGED_MAX_IT)" in done.stderr and "Traceback" not in done.stderr
     assert len((tmp_path / "out" / "rows.jsonl").read_text().splitlines()) == 3
 
 
@@ -75,9 +74,8 @@ def test_a_failing_rank_ends_all():
 def test_a_failing_test_on_one_rank_fails_on_all(tmp_path):
     """The test-suite itself: no hang, and rank 0 reports what rank 1 met."""
     (tmp_path / "conftest.py").write_text((DEMOS.parent / "tests" / "conftest.py").read_text())
-    (tmp_path / "test_one.py").write_text(
-        "from mpi4py import MPI\n\ndef test_it():\n    assert MPI.COMM_WORLD.rank == 0, 'only here'\n"
-    )
+    code = "from mpi4py import MPI\n\ndef test_it():\n    assert MPI.COMM_WORLD.rank == 0, 'only here'\n"
+    (tmp_path / "test_one.py").write_text(code)
     command = [*mpirun(2), sys.executable, "-m", "pytest", "-q", "test_one.py"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=CLEAN, timeout=60, check=False)
     assert done.returncode != 0
@@ -123,15 +121,10 @@ def test_a_source_that_another_process_removes(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("text", "key", "values"),
-    [
-        ("16..128", "cells", [16, 32, 64, 128]),
-        ("1e-1..1e-4", "eps", [1e-1, 1e-2, 1e-3, 1e-4]),
-        ("h,h^2,1e-8", "eps", ["h", "h^2", 1e-8]),
-        ("1..100:3", "define.f", [1, 10, 100]),
-        ("1e-4..1e-2", "eps", [1e-4, 1e-3, 1e-2]),
-        ("penalty,vi", "method", ["penalty", "vi"]),
-    ],
-)
+    [("16..128", "cells", [16, 32, 64, 128]), ("1e-1..1e-4", "eps", [1e-1, 1e-2, 1e-3, 1e-4]),
+     ("h,h^2,1e-8", "eps", ["h", "h^2", 1e-8]), ("1..100:3", "define.f", [1, 10, 100]),
+     ("1e-4..1e-2", "eps", [1e-4, 1e-3, 1e-2]), ("penalty,vi", "method", ["penalty", "vi"])],
+)  # fmt: skip
 def test_lists_of_values(text, key, values):
     assert values_of(text, key) == values
     with pytest.raises(InputError, match="ends of a range are positive numbers"):
@@ -181,27 +174,21 @@ def test_files_of_others_stay(tmp_path):
 STUDY = ["study", str(DEMOS / "string.toml"), "--cells", "8", "--vary", "eps=1e-1,1e-3", "--output"]
 
 
-def on_terminal(*arguments, ranks=1):
+def on_terminal(*arguments):
     """Run with standard error on a terminal: what came out of stdout, and of the terminal."""
     try:
         ours, theirs = pty.openpty()
     except OSError:  # a bare chroot, a container without /dev/pts
         pytest.skip("this machine gives no terminals")
-    fcntl.ioctl(
-        theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0)
-    )  # a terminal without width shows nothing
-    command = [*(mpirun(ranks) if ranks > 1 else []), sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
+    # a terminal without width shows nothing
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    command = [sys.executable, "-m", "fenicsx_obstacle", *map(str, arguments)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=theirs, text=True, env=CLEAN)
     os.close(theirs)
     seen = b""
-    while True:
-        try:
-            piece = os.read(ours, 4096)
-        except OSError:  # the other end was closed
-            break
-        if not piece:
-            break
-        seen += piece
+    with suppress(OSError):  # the other end was closed
+        while piece := os.read(ours, 4096):
+            seen += piece
     os.close(ours)
     stdout, _ = process.communicate(timeout=120)
     assert process.returncode == 0, seen
@@ -210,27 +197,15 @@ def on_terminal(*arguments, ranks=1):
 
 @pytest.mark.slow
 def test_a_terminal_sees_what_is_solved(tmp_path):
-    """The row's scene and values, and the step of the solver; the table stays on standard output."""
+    """The row's scene and values, and the step of the solver; the table stays on standard output; --quiet is quiet, and
+    without a terminal there is no bar."""
     stdout, seen = on_terminal(*STUDY, tmp_path / "out")
-    assert "string: eps=0.1" in seen
-    assert "1/2" in seen
+    assert "string: eps=0.1" in seen and "1/2" in seen
     assert "step" in seen or "timing" in seen or "mesh" in seen
-    assert "|u_eps-u_h|_a" in stdout
-    assert "\r" not in stdout
-
-
-@pytest.mark.slow
-def test_quiet_is_quiet(tmp_path):
-    stdout, seen = on_terminal(*STUDY, tmp_path / "out", "--quiet")
-    assert stdout == ""
-    assert seen == ""
-
-
-@pytest.mark.slow
-def test_no_bar_without_a_terminal(tmp_path):
+    assert "|u_eps-u_h|_a" in stdout and "\r" not in stdout
+    assert on_terminal(*STUDY, tmp_path / "out", "--quiet") == ("", "")
     done = run(*STUDY, tmp_path / "out")
-    assert done.returncode == 0
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("ranks", slow_except([1, 2]))

@@ -73,27 +73,20 @@ def test_values_that_cannot_be_drawn(folder):
         solve(scene).plot(folder / "huge.png")
     far = Scene(mesh={"shape": "interval", "cells": 2}, tension=1, load=-1, lower=-1e300)
     assert "drawn by" in solve(far).plot(folder / "far.png").said
-    assert "contribute half of the bound" in _with_bound(membrane(), folder)
-
-
-def _with_bound(scene, folder):
-    """What is said of an answer whose bound is 0."""
-    answer = solve(scene, bound=True, cells=4)
+    answer = solve(membrane(), bound=True, cells=4)  # the bound is 0
     answer.save(folder)
-    return report_answer(answer, folder, picture=True)[1]
+    assert "contribute half of the bound" in report_answer(answer, folder, picture=True)[1]
 
 
-def test_errors_name_the_method_that_was_asked_for():
+@pytest.mark.parametrize(("method", "element"), [("vi", "P1"), ("successive", "P1"), ("penalty", "P1"),
+                                                 ("vi", "Q1-gauss")])  # fmt: skip
+def test_errors_name_the_method_that_was_asked_for(method, element):
     """Whatever a method begins with or is made of, its failure is its own."""
-    none = {"snes_max_it": 0}
-    for method, element, says in [("vi", "P1", "vi did"), ("successive", "P1", "successive did"),
-                                  ("penalty", "P1", "penalty did"), ("vi", "Q1-gauss", "vi did")]:  # fmt: skip
-        mesh = {"shape": "rectangle", "cells": 4, "cell": "quadrilateral" if element == "Q1-gauss" else None}
-        scene = membrane(mesh={key: value for key, value in mesh.items() if value}, load=-9, lower=-0.05)
-        with defaults("penalty_", none), defaults("vi_", none), pytest.raises(NotConverged, match=says) as error:
-            solve(scene, method=method, element=element, start="cold")
-        assert error.value.solver == method
-        assert f"--method {method}" not in str(error.value)
+    scene, none = membrane(load=-9, lower=-0.05), {"snes_max_it": 0}
+    with defaults("penalty_", none), defaults("vi_", none), pytest.raises(NotConverged, match=f"{method} did") as error:
+        solve(scene, method=method, element=element, cells=4, start="cold")
+    assert error.value.solver == method
+    assert f"--method {method}" not in str(error.value)
 
 
 MOVING = {"mesh": {"shape": "interval", "cells": 8}, "tension": 1, "load": -1, "upper": "0.5 - t"}
@@ -144,9 +137,8 @@ def launched(ranks, *arguments, **options):
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_status_4_reaches_the_shell(ranks, tmp_path):
     """On any number of ranks, with one line on standard error and the answer in its folder."""
-    done = launched(
-        ranks, "solve", "ball", "--tol", "0.01", "--budget", "400 unknowns", "--quiet", "--output", tmp_path
-    )
+    words = ["--tol", "0.01", "--budget", "400 unknowns", "--quiet", "--output", tmp_path]
+    done = launched(ranks, "solve", "ball", *words)
     assert done.returncode == 4, done.stderr
     assert done.stderr.startswith("Error: the relative tolerance 0.01 is not reached: the budget of unknowns")
     assert done.stderr.count("\n") == 1
@@ -214,15 +206,10 @@ def test_output_that_cannot_be_written(arguments, how, tmp_path):
 def test_signals_end_all_processes(ranks, number, tmp_path):
     """SIGTERM and SIGHUP to the launcher alone, Ctrl-C: 128 + number, one line, rows are kept, no process is left."""
     study = ["study", "disk_flat", "--vary", "cells=4,6,400", "--method", "vi", "--output", str(tmp_path)]
-    process = subprocess.Popen(
-        [LAUNCHER, "--ranks", str(ranks), *study],
-        stdout=subprocess.DEVNULL,
-        env=CLEAN,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
-    )  # ignored under nohup, and in the background
+    # under nohup, and in the background, signals are ignored
+    process = subprocess.Popen([LAUNCHER, "--ranks", str(ranks), *study], stdout=subprocess.DEVNULL, env=CLEAN,
+                               stderr=subprocess.PIPE, text=True, start_new_session=True,
+                               preexec_fn=lambda: signal.signal(number, signal.SIG_DFL))  # fmt: skip
     rows = tmp_path / "rows.jsonl"
     deadline = time.monotonic() + 60
     while (not rows.exists() or rows.read_text().count("\n") < 2) and time.monotonic() < deadline:

@@ -10,16 +10,12 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import Elasticity, InputError, ObstacleProblem, Scene, releases, solve
 from fenicsx_obstacle.mesh.levels import at_surface
-from fenicsx_obstacle.parallel import largest
+from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM, DEMOS
 
 RADIUS = 40.0  # of the roller and of the sphere, in units of the half-width of contact
 LAW = {"young": 1 - 0.3**2, "poisson": 0.3}  # E* = 1
-GEOMETRIES = {
-    "disk": (2, "Disk(1) = {0, 0, 0, 2};"),
-    "ball": (3, "Sphere(1) = {0, 0, 0, 2, 0, Pi/2, Pi/2};"),
-}
 
 
 def sphere(scene):
@@ -40,6 +36,13 @@ def against_hertz(nodes, *, axial=False):
     return width - 1, peak * RADIUS * (np.pi if axial else 4.0) / 2 - 1, p[np.argmin(x)] / peak - 1
 
 
+def roller(folder, h):
+    """The demo with cells of another width."""
+    text = (DEMOS / "roller.geo").read_text().replace("h = 0.1;", f"h = {h};")
+    on_root(COMM, (folder / "roller.geo").write_text, text)
+    return Scene.read(DEMOS / "roller.toml").change({"mesh.file": str(folder / "roller.geo")})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "a_over_h", "method"), [("cylinder", 10, "vi"), ("cylinder", 20, "penalty"), ("sphere", 10, "penalty")]
@@ -47,31 +50,26 @@ def against_hertz(nodes, *, axial=False):
 def test_roller(kind, a_over_h, method, folder):
     """Hertz, a convex elastic body on a rigid plane, P2: half-width and peak, the nodal one included, within 0.2 %;
     gaps from chords make the peak wrong by 4 % for a/h = 10, and by 2 % for 20."""
-    if COMM.rank == 0:
-        text = (DEMOS / "roller.geo").read_text().replace("h = 0.1;", f"h = {1 / a_over_h};")
-        (folder / "roller.geo").write_text(text)
-    COMM.barrier()
-    scene = Scene.read(DEMOS / "roller.toml").change({"mesh.file": str(folder / "roller.geo")})
+    scene = roller(folder, 1 / a_over_h)
     scene = scene if kind == "cylinder" else sphere(scene).change({"solve.element": "P2"})
     errors = against_hertz(solve(scene, method=method).nodes, axial=kind == "sphere")
     assert np.all(np.abs(errors) < 2e-3), errors
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", GEOMETRIES)
-def test_points_at_the_surface(name, folder):
+@pytest.mark.parametrize(
+    ("dim", "shape"), [(2, "Disk(1) = {0, 0, 0, 2};"), (3, "Sphere(1) = {0, 0, 0, 2, 0, Pi/2, Pi/2};")]
+)
+def test_points_at_the_surface(dim, shape, folder):
     """Nodes of P2 on the boundary of a CAD disk and ball are on it to 1e-12, on a refined mesh too; all others, and
     those of P1, stay where they are."""
-    dim, shape = GEOMETRIES[name]
-    if COMM.rank == 0:
-        (folder / "body.geo").write_text(f'SetFactory("OpenCASCADE");\n{shape}\nMesh.MeshSizeMax = 1.2;\n')
-    COMM.barrier()
+    text = f'SetFactory("OpenCASCADE");\n{shape}\nMesh.MeshSizeMax = 1.2;\n'
+    on_root(COMM, (folder / "body.geo").write_text, text)
     for refine, element in ((0, "P2"), (1, "P2"), (1, "P1")):
         mesh = {"file": str(folder / "body.geo"), "refine": refine}
         law = {**LAW, "plane": "strain"} if dim == 2 else LAW
-        scene = Scene(mesh=mesh, elasticity=law, boundary=[{"value": [0] * dim}])
-        level = build(scene.change({"solve.element": element}), COMM)
-        _check_at_surface(level, dim)
+        scene = Scene(mesh=mesh, elasticity=law, boundary=[{"value": [0] * dim}]).change({"solve.element": element})
+        _check_at_surface(build(scene, COMM), dim)
 
 
 def test_points_of_a_disk_at_the_circle():

@@ -39,8 +39,19 @@ CORNERS = st.lists(st.floats(-2, 2).map(lambda v: round(v, 3)), min_size=6, max_
 )
 
 
+def on_cells(text, corners, scene=SCENE):
+    return OnCells(Cells(scene, np.asarray(corners, dtype=float)), scene.formula(text, "here"))
+
+
 def enclosed(text, corners, scene=SCENE):
-    return OnCells(Cells(scene, np.asarray(corners, dtype=float)), scene.formula(text, "here")).once()
+    return on_cells(text, corners, scene).once()
+
+
+def values_at(text, places):
+    """Of a formula at places in the plane, shape (n, 2)."""
+    points = np.zeros((3, len(places)))
+    points[:2] = places.T
+    return SCENE.at_points(SCENE.formula(text, "here"), points)
 
 
 def area(x):
@@ -51,9 +62,7 @@ def check(text, x, seed):
     """Values at random points are within the bounds; a polynomial is what its values at few points say."""
     found = enclosed(text, x[None])
     weights = np.random.default_rng(seed).dirichlet(np.ones(3), 200)
-    points = np.zeros((3, 200))
-    points[:2] = (weights @ x).T
-    values = SCENE.at_points(SCENE.formula(text, "here"), points)
+    values = values_at(text, weights @ x)
     low, high = found.lower[0], found.upper[0]
     slack = 1e-9 * (1 + np.nanmax(np.abs(values[np.isfinite(values)]), initial=0.0))
     inside = np.isfinite(values)
@@ -62,9 +71,7 @@ def check(text, x, seed):
         assert np.isfinite(low) + np.isfinite(high) < 2 or inside.all(), text
     degree = int(found.degree[0])
     if found.whole[0] and found.defined[0] and degree <= 6 and inside.all() and np.abs(values).max() < 1e6:
-        at = np.zeros((3, len(polynomials.inner_points(3, degree))))
-        at[:2] = (polynomials.inner_points(3, degree) @ x).T
-        samples = SCENE.at_points(SCENE.formula(text, "here"), at)
+        samples = values_at(text, polynomials.inner_points(3, degree) @ x)
         fitted = polynomials.evaluate(polynomials.coefficients(samples[None], 3, degree), weights, degree)[0]
         assert np.abs(fitted - values).max() <= 1e-7 * (1 + np.abs(values).max()), (text, degree)
 
@@ -143,9 +150,8 @@ def check_slopes(text, x, seed):
     for order in range(1, ORDER + 1):
         bound = found.derivative(order)
         steps = np.arange(order + 1) / order
-        points = np.zeros((3, 200 * (order + 1)))
-        points[:2] = (ends[:, 0, None] + steps[:, None] * (ends[:, 1] - ends[:, 0])[:, None]).reshape(-1, 2).T
-        values = SCENE.at_points(SCENE.formula(text, "here"), points).reshape(200, -1)
+        places = ends[:, 0, None] + steps[:, None] * (ends[:, 1] - ends[:, 0])[:, None]
+        values = values_at(text, places.reshape(-1, 2)).reshape(200, -1)
         difference = np.abs(np.diff(values, order, axis=1)[:, 0])
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / order
         slack = 1e-11 * (np.abs(values).max() + max(abs(found.lower[0]), abs(found.upper[0])))
@@ -191,16 +197,12 @@ def test_slopes_at_singular_points_are_infinite():
 def check_linear(text, x, seed):
     """Values at random points are as near to the linear function as its rest says, whatever conditions do, and so is
     the slope of the difference, except where values jump."""
-    formula = SCENE.formula(text, "here")
-    cells = OnCells(Cells(SCENE, x[None]), formula)
-    found = cells.once()
-    if not found.finite[0]:
+    cells = on_cells(text, x[None])
+    if not cells.once().finite[0]:
         return
     at_corners, rest, steep = cells.linear(np.arange(1))
     weights = np.random.default_rng(seed).dirichlet(np.ones(3), 200)
-    points = np.zeros((3, 200))
-    points[:2] = (weights @ x).T
-    values = SCENE.at_points(formula, points)
+    values = values_at(text, weights @ x)
     if np.isnan(values).any():  # conditions that are undecided guard what they choose from, if they are written to
         assert "where" in text
         return
@@ -210,10 +212,8 @@ def check_linear(text, x, seed):
     changes = []
     for step in (1e-6, 5e-7):
         moved = (1 - step) * weights + step * others
-        near = np.zeros((3, 200))
-        near[:2] = (moved @ x).T
-        change = SCENE.at_points(formula, near) - values - (moved - weights) @ at_corners[0]
-        changes.append((np.abs(change), np.linalg.norm(near - points, axis=0)))
+        change = values_at(text, moved @ x) - values - (moved - weights) @ at_corners[0]
+        changes.append((np.abs(change), np.linalg.norm((moved - weights) @ x, axis=1)))
     (far, distance), (close, _) = changes
     jumps = (close > 0.9 * far) | (close < 0.1 * far)
     assert (jumps | np.isnan(far) | (far <= steep[0] * distance + 1e-13 * size)).all(), (text, steep)
@@ -261,8 +261,6 @@ def test_smooth_transitions_cost_second_order():
         ("abs(x - 0.01)", 1, 0.1), ("y + max(x - 0.01, 0)^2", 2, 0.1), ("where(x < 0.01, 1, 2)", 0, 0.1),
         ("where(x < 0, exp(x), 1 + x)", 2, 0.1), ("exp(y)*where(x > 0, x^2, 0)", 2, 0.02),
     ):  # fmt: skip
-        rests = []
-        for h in (size, size / 2):
-            formula, corners = SCENE.formula(text, "here"), h * np.array([[(-1, -1), (2, -1), (-1, 2)]])
-            rests.append(OnCells(Cells(SCENE, corners), formula).linear(np.arange(1))[1][0])
+        triangle = np.array([[(-1, -1), (2, -1), (-1, 2)]])
+        rests = [on_cells(text, h * triangle).linear(np.arange(1))[1][0] for h in (size, size / 2)]
         assert np.log2(rests[0] / rests[1]) == pytest.approx(rate, abs=0.15), text

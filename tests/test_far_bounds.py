@@ -104,20 +104,18 @@ def test_round_off_is_no_contradiction():
 def test_every_kind_of_datum(far):
     """Functions of this space, of another one and on another mesh, UFL, callables, Constants and numbers."""
     own = Plate(cells=16)
-    coarse = dmesh.create_unit_square(COMM, 8, 8)
-    same, linear = fem.Function(own.V), fem.Function(releases.functionspace(own.mesh, "Lagrange", 2))
-    elsewhere = fem.Function(releases.functionspace(coarse, "Lagrange", 1))
-    x = ufl.SpatialCoordinate(own.mesh)
-    there = fem.Function(own.V)
+    spaces = own.V, releases.functionspace(own.mesh, "Lagrange", 2), Membrane(cells=8).V
+    same, quadratic, elsewhere, there = (fem.Function(V) for V in (*spaces, own.V))
     there.interpolate(own.over(1.0, 1.0))
-    for function in (same, linear, elsewhere):
+    for function in (same, quadratic, elsewhere):
         function.interpolate(own.over(far))
-    found = own.solve(own.over(10.0)).force.lower
-    for lower in (same, linear, ufl.conditional(ufl.gt(there, 0), 1.6, fem.Constant(own.mesh, -far)) + 0 * x[0]):
+    found, none = own.solve(own.over(10.0)).force.lower, fem.Constant(own.mesh, -far)
+    x = ufl.SpatialCoordinate(own.mesh)
+    for lower in (same, quadratic, ufl.conditional(ufl.gt(there, 0), 1.6, none) + 0 * x[0]):
         assert own.solve(lower).force.lower == pytest.approx(found, rel=1e-9)
     if np.isfinite(far):  # of a coarser mesh, linear between its nodes
         assert own.solve(elsewhere).force.lower > 0
-    for number in (-far, fem.Constant(own.mesh, -far)):
+    for number in (-far, none):
         assert own.solve(number).force.lower == 0
 
 
@@ -137,7 +135,6 @@ def test_on_the_wrong_side(far):
 
 
 PLATE = "where(max(abs(x - 0.5), abs(y - 0.5)) < 0.2, 1.6, -{})"
-BLOCK = "where(max(abs(x - 0.5), abs(y - 0.5), abs(z - 0.5)) < 0.2, 1.6, -{})"
 
 
 def where_far(far, **more):
@@ -147,26 +144,6 @@ def where_far(far, **more):
         lower=PLATE.format(far),
         report={"edge": "at(u, 0, 0.5)", "force": "integral(p)", "low": "min(u)"}, **more,
     )  # fmt: skip
-
-
-@pytest.mark.parametrize("element", ["P1", "P2", "box"])
-@pytest.mark.parametrize("method", ["penalty", "vi"])
-def test_scenes(element, method):
-    """The value of the far bound is in no quantity of a report."""
-    scene, options, plate = where_far("10"), {"method": method}, PLATE
-    if element == "box":
-        in_space = {"mesh.shape": "box", "mesh.cells": 6, "report.edge": "at(u, 0, 0.5, 0.5)"}
-        plate, scene = BLOCK, scene.change({**in_space, "obstacle.lower": BLOCK.format("10")})
-    else:
-        options["element"] = element
-    near = solve(scene, **options).report
-    for far in ("1e12", "1e20"):
-        changed = scene.change({"obstacle.lower": plate.format(far)})
-        found = solve(changed, **options).report
-        assert found["edge"] == pytest.approx(1.25, abs=1e-14)
-        assert [found[key] for key in ("force", "low")] == pytest.approx(
-            [near[key] for key in ("force", "low")], rel=1e-9
-        )
 
 
 @pytest.mark.slow

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-import ufl
 from dolfinx import fem
-from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import Answer, InputError, ObstacleProblem, Scene, Solution, releases, solve
+from fenicsx_obstacle import Answer, InputError, Scene, Solution, releases, solve
 from tests.conftest import COMM, membrane
+from tests.helpers import Membrane
 
 STRING = {"mesh": {"shape": "interval", "cells": 8}, "load": -1, "lower": -10, "boundary": [{"value": 0}]}
+PLANE = {"mesh": {"shape": "rectangle", "cells": 8}, "load": -2, "lower": -0.1, "boundary": [{"value": 0}]}
 POINTS = np.array([[0.21, 0.13], [0.47, 0.52], [0.83, 0.37], [0.71, 0.94]])
 
 
@@ -47,8 +47,7 @@ def slope_law(factor):
 )
 def test_every_tension(effect, law, folder):
     """The flux is what each law makes of the slope; of a read answer it is the same."""
-    given = {"mesh": {"shape": "rectangle", "cells": 8}, "load": -2, "lower": -0.1, "boundary": [{"value": 0}]}
-    scene = Scene(**given, **effect)
+    scene = Scene(**PLANE, **effect)
     answer = solve(scene)
     flux, slope = answer.at(POINTS, "flux"), answer.at(POINTS, "slope")
     assert np.allclose(flux, law(slope), rtol=1e-12, atol=1e-14) and np.abs(flux).max() > 0.01
@@ -60,8 +59,7 @@ def test_every_tension(effect, law, folder):
 
 def test_the_next_solve_leaves_the_flux_of_the_last():
     """A tension that depends on the slope is that of the solution's own u."""
-    given = {"mesh": {"shape": "rectangle", "cells": 8}, "load": -2, "lower": -0.1, "boundary": [{"value": 0}]}
-    problem = Scene(large_slope=1, **given).problem(COMM)
+    problem = Scene(large_slope=1, **PLANE).problem(COMM)
     first = problem.solve(eps=1e-6)
     flux = first.at(POINTS, "flux")
     assert np.abs(problem.solve(eps=1.0).at(POINTS, "flux") - flux).max() > 0.01
@@ -95,11 +93,8 @@ def test_a_tension_that_depends_on_time(folder):
 @pytest.mark.slow
 def test_where_the_tension_is_not_known(folder):
     """A form hides it, and a file has no tension that was a Python object: a message in place of values."""
-    mesh = dmesh.create_unit_square(COMM, 4, 4)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + u * v * ufl.dx + 4 * v * ufl.dx
-    found = ObstacleProblem(F, u, lower=-1).solve()
+    own = Membrane(cells=4, load=-4.0)
+    mesh, found = own.mesh, own.problem(lower=-1).solve()
     for solution in (found, _saved(found, folder, Solution)):
         with pytest.raises(InputError, match="the tension of a form is not known"):
             solution.at([0.3, 0.4], "flux")
@@ -107,7 +102,7 @@ def test_where_the_tension_is_not_known(folder):
         assert line.flux is None and np.isfinite(line.slope).all()
     mu = fem.Function(releases.functionspace(mesh, "DG", 0))
     mu.x.array[:] = 2
-    answer = solve(Scene(mesh=mesh, tension=mu, load=-4, lower=-0.1))
+    answer = solve(Scene(**{**PLANE, "mesh": mesh}, tension=mu))
     assert np.allclose(answer.at(POINTS, "flux"), 2 * answer.at(POINTS, "slope"), rtol=1e-12)
     with pytest.raises(InputError, match="tension was given in Python and is not in the file"):
         _saved(answer, folder, Answer).at(POINTS, "flux")

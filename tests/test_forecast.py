@@ -122,19 +122,17 @@ def test_two_measurements_agree_or_the_words_say_so(monkeypatch):
     assert "elapsed time is 3.0 times processor time" in words
 
 
-def test_what_other_programs_take_is_not_counted():
+def test_what_other_programs_take_is_not_counted(monkeypatch):
     """A sleep is elapsed time, and no processor time."""
-    run = adaptation(catalogue.scene("string_parabola"), 0.2, comm=COMM)
-    refined = SolverContext.answer
+    run, answer = adaptation(catalogue.scene("string_parabola"), 0.2, comm=COMM), SolverContext.answer
 
     def slow(*given, **options):
         time.sleep(0.5)
-        return refined(*given, **options)
+        return answer(*given, **options)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SolverContext, "answer", slow)
-        with closing(run.meshes()) as meshes:
-            next(meshes)
+    monkeypatch.setattr(SolverContext, "answer", slow)
+    with closing(run.meshes()) as meshes:
+        next(meshes)
     assert run.work[0].elapsed > 0.5 and run.work[0].elapsed - run.work[0].seconds > 0.4
 
 
