@@ -35,20 +35,16 @@ def test_successive_iteration_is_the_same_loop(disk):
     assert np.isclose(newton.record["energy"], answer.record["energy"], rtol=1e-10)
 
 
-@pytest.mark.parametrize(
-    ("scene", "holds"),
-    [
-        (lambda: membrane(upper=1), True),
-        (lambda: membrane(upper=1, mesh={"shape": "rectangle", "y": [0, 50], "diagonal": "crossed", "cells": 8}), True),
-        (lambda: membrane(upper=1, mesh=sheared(-0.5)), True),
-        (lambda: membrane(upper=1, mesh=sheared(0.5)), False),
-        (lambda: membrane(upper=1, mesh={"shape": "box", "cells": 4}), True),
-        (lambda: membrane(upper=1, mesh={"shape": "interval"}, tension="1 + 1e6*x"), True),
-        (lambda: membrane(upper=1, mesh=SQUARES), True),
-        (lambda: membrane(upper=1, mesh=SQUARES).change({"solve.element": "Q2"}), False),
-    ],
-    ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval", "Q1", "Q2"],
-)
+@pytest.mark.parametrize(("scene", "holds"), [
+    (lambda: membrane(upper=1), True),
+    (lambda: membrane(upper=1, mesh={"shape": "rectangle", "y": [0, 50], "diagonal": "crossed", "cells": 8}), True),
+    (lambda: membrane(upper=1, mesh=sheared(-0.5)), True),
+    (lambda: membrane(upper=1, mesh=sheared(0.5)), False),
+    (lambda: membrane(upper=1, mesh={"shape": "box", "cells": 4}), True),
+    (lambda: membrane(upper=1, mesh={"shape": "interval"}, tension="1 + 1e6*x"), True),
+    (lambda: membrane(upper=1, mesh=SQUARES), True),
+    (lambda: membrane(upper=1, mesh=SQUARES).change({"solve.element": "Q2"}), False),
+], ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval", "Q1", "Q2"])  # fmt: skip
 def test_m_matrix(scene, holds):
     """Off-diagonals of P1 are not positive iff angles opposite to each edge sum to 180 degrees at most."""
     context = SolverContext(scene().change({"boundary": [{"value": 0}]}))
