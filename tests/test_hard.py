@@ -48,8 +48,7 @@ def test_the_list():
 
 
 def test_every_effect_has_a_hard_scene():
-    """All that scenes with a scalar u can name, a matrix for a tension, all kinds of time, obstacles on the boundary
-    and on curves."""
+    """All that a scalar u can have, matrices for tensions, all kinds of time, obstacles on the boundary and curves."""
     scenes = [one.base for one in cases() if not one.refuse]
     named = {effect.key for scene in scenes for effect in scene.effects}
     scalar = {key for key in known() | known("boundary") if find(key).vector_valued is not True}
@@ -66,8 +65,7 @@ SCENES = {"ridge": True, "storm": False, "tower": False, "nail": True, "valves":
 
 @pytest.mark.parametrize("name", slow_except(SCENES, "storm", "tower", "nail", "valves"))
 def test_scene(name):
-    """Every answer keeps every invariant that is claimed for its operator, from any start; the program knows whether
-    its matrix is an M-matrix, and claims less where it is none."""
+    """Invariants that are claimed hold, from any start; less is claimed where the matrix is no M-matrix."""
     rows = list(judge(case(name).on(0), COMM, OF_EFFECTS, starts=name in ("ridge", "storm", "nail")))
     assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
     assert all(row["monotone"] is SCENES[name] for row in rows)
@@ -78,21 +76,13 @@ def test_scene(name):
 
 @pytest.mark.serial  # as the suite, which judges on one rank and compares pressures on more of them
 def test_elastic_body():
-    """Penalty and inequality differ by the bound of eps, resultants and moments are those of equilibrium to 1e-8, and
-    forces scale with the unit."""
+    """The bound of eps holds, resultants and moments are in equilibrium to 1e-8, and forces scale with the unit."""
     name = "in_a_corner"
     rows = list(judge(case(name).on(0), COMM, FEW, known=case(name).known, units=True))
     assert [row["verdict"] for row in rows] == [RIGHT] * len(rows), messages(rows)
     assert len(rows) == 2 + len(FEW)
     wrong = list(judge(case(name).on(0), COMM, (), known=dict.fromkeys(case(name).known, -1.0)))
     assert [row["verdict"] for row in wrong] == [FAILED]
-
-
-@pytest.mark.parametrize("name", [one.name for one in cases() if one.refuse])
-def test_scene_without_solution(name):
-    """Refused at once, in words, on all ranks."""
-    rows = list(judge(case(name).on(0), COMM, FEW, refuse=case(name).refuse))
-    assert [row["verdict"] for row in rows] == [REJECTED]
 
 
 @pytest.mark.slow
@@ -118,8 +108,7 @@ ENERGY_NORM = "ranks: the same u in the energy norm"
      ("pollutant", ("penalty",), {ENERGY_NORM})],
 )  # fmt: skip
 def test_ranks(name, methods, told):
-    """The same fields on all numbers of ranks, within what is known of their accuracy; another field is found out, with
-    no maximum principle and no energy by the energy norm alone."""
+    """The same fields on all numbers of ranks, as far as their accuracy is known; another field is found out."""
     one, method = case(name).on(0), methods[0]
     here, alone = fields_of(one, COMM), fields_of(one, MPI.COMM_SELF)
     if COMM.rank == 0:
@@ -168,17 +157,15 @@ WRONG_BESIDE = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG_ALONE)
-def test_wrong_answer_alone_is_found_out(name, answers):
-    assert all(violated(of_one(s)) == [] for s in answers.values())
-    assert name in [finding.name for finding in violated(of_one(WRONG_ALONE[name](answers)))]
+@pytest.mark.parametrize("name", [*WRONG_ALONE, *WRONG_BESIDE])
+def test_wrong_answer_is_found_out(name, answers):
+    alone = name in WRONG_ALONE
 
+    def found(s):
+        return [finding.name for finding in violated(of_one(s) if alone else beside_inequality(s, answers[None]))]
 
-@pytest.mark.parametrize("name", WRONG_BESIDE)
-def test_wrong_answer_beside_the_inequality_is_found_out(name, answers):
-    assert all(violated(beside_inequality(answers[eps], answers[None])) == [] for eps in (1e-2, 1e-4, 1e-8))
-    wrong = WRONG_BESIDE[name](answers)
-    assert name in [finding.name for finding in violated(beside_inequality(wrong, answers[None]))]
+    assert not any(found(s) for eps, s in answers.items() if alone or eps is not None)
+    assert name in found((WRONG_ALONE | WRONG_BESIDE)[name](answers))
 
 
 def test_wrong_order_is_found_out(answers):
@@ -205,17 +192,6 @@ def test_energy_of_rules_that_differ():
     """Tension, load and foundation (nodal rule) of u = x: 1/2 - 2/2 + (3/2)/2; load and foundation differ in rule."""
     scene = membrane(foundation=3, load=2, boundary=[{"value": "x"}], mesh={"shape": "rectangle", "cells": 1})
     assert np.isclose(solve(scene).record["energy"], 0.25)
-    # a derivative of the energy is the residual
-    with closing(SolverContext(case("mattress").on(0))) as context:
-        problem = context.problem
-        x = problem.vector()
-        residual, step = x.duplicate(), x.duplicate()
-        problem.residual(x, residual, penalised=False)
-        x.copy(step)
-        rate = 1e-4
-        step.axpy(-rate, residual)
-        fallen = problem.energy(x, penalised=False) - problem.energy(step, penalised=False)
-        assert np.isclose(fallen, rate * residual.norm() ** 2, rtol=0.05)
 
 
 @pytest.mark.slow

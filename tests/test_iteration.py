@@ -5,20 +5,12 @@ import pytest
 
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.algebra.linear import defaults
-from fenicsx_obstacle.algebra.newton import solve_penalty
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from tests.conftest import COMM, membrane
 from tests.hard.cases import case
-from tests.theory.iteration import (
-    CYCLE,
-    CYCLE_EPS,
-    CYCLE_LOAD,
-    DENSE,
-    entered,
-)  # fmt: skip
-from tests.theory.samples import Small
+from tests.theory.iteration import entered
 
 SQUARES = {"shape": "rectangle", "cell": "quadrilateral", "cells": 8}
 
@@ -43,31 +35,16 @@ def test_successive_iteration_is_the_same_loop(disk):
     assert np.isclose(newton.record["energy"], answer.record["energy"], rtol=1e-10)
 
 
-@pytest.mark.parametrize("eps", [1e-2, 1e-10])
-def test_active_sets_shrink(ball, eps):
-    """(3.4)* on an M-matrix, here from below: after the first step active sets only shrink, and it is finite."""
-    answer = solve(ball, cells=32, eps=eps, method="successive")
-    history = answer.history
-    assert answer.record["m_matrix"]
-    assert entered(history) == 0
-    assert history[1].active > history[-1].active > 0 == history[-1].changed
-    assert len(history) - 1 <= answer.record["free"] + 1
-
-
-@pytest.mark.parametrize(
-    ("scene", "holds"),
-    [
-        (lambda: membrane(upper=1), True),
-        (lambda: membrane(upper=1, mesh={"shape": "rectangle", "y": [0, 50], "diagonal": "crossed", "cells": 8}), True),
-        (lambda: membrane(upper=1, mesh=sheared(-0.5)), True),
-        (lambda: membrane(upper=1, mesh=sheared(0.5)), False),
-        (lambda: membrane(upper=1, mesh={"shape": "box", "cells": 4}), True),
-        (lambda: membrane(upper=1, mesh={"shape": "interval"}, tension="1 + 1e6*x"), True),
-        (lambda: membrane(upper=1, mesh=SQUARES), True),
-        (lambda: membrane(upper=1, mesh=SQUARES).change({"solve.element": "Q2"}), False),
-    ],
-    ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval", "Q1", "Q2"],
-)
+@pytest.mark.parametrize(("scene", "holds"), [
+    (lambda: membrane(upper=1), True),
+    (lambda: membrane(upper=1, mesh={"shape": "rectangle", "y": [0, 50], "diagonal": "crossed", "cells": 8}), True),
+    (lambda: membrane(upper=1, mesh=sheared(-0.5)), True),
+    (lambda: membrane(upper=1, mesh=sheared(0.5)), False),
+    (lambda: membrane(upper=1, mesh={"shape": "box", "cells": 4}), True),
+    (lambda: membrane(upper=1, mesh={"shape": "interval"}, tension="1 + 1e6*x"), True),
+    (lambda: membrane(upper=1, mesh=SQUARES), True),
+    (lambda: membrane(upper=1, mesh=SQUARES).change({"solve.element": "Q2"}), False),
+], ids=["right angles", "crossed, stretched", "acute", "obtuse", "box", "interval", "Q1", "Q2"])  # fmt: skip
 def test_m_matrix(scene, holds):
     """Off-diagonals of P1 are not positive iff angles opposite to each edge sum to 180 degrees at most."""
     context = SolverContext(scene().change({"boundary": [{"value": 0}]}))
@@ -75,21 +52,6 @@ def test_m_matrix(scene, holds):
     context.answer()
     del context.problem.m_matrix
     assert context.problem.m_matrix is holds  # springs are on the diagonal
-
-
-def test_cycle_is_broken_by_the_line_search():
-    """Without an M-matrix (3.4)* can cycle: here with period 3; Newton with a line search on the energy cannot."""
-    active, met = np.zeros(3, bool), []
-    for _ in range(9):
-        met.append(tuple(active.tolist()))
-        active = np.linalg.solve(np.array(CYCLE) + np.diag(active / CYCLE_EPS), CYCLE_LOAD) > 0
-    assert met[0:3] == met[3:6] == met[6:9]
-    problem = Small(CYCLE, CYCLE_LOAD)
-    with defaults("penalty_", DENSE):
-        outcome = solve_penalty(problem, CYCLE_EPS)
-    assert outcome.converged and problem.met[:6] == met[:6]
-    w = problem.w
-    assert np.abs(problem.matrix @ w + np.maximum(w, 0) / CYCLE_EPS - problem.b).max() < 1e-9
 
 
 @pytest.mark.parametrize("eps", [1e-3, 1e-10])

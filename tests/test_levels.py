@@ -22,9 +22,9 @@ MESHES = {
 }
 
 
-def measure(level, form=1.0):
+def measure(level, integral=ufl.dx):
     constant = fem.Constant(level.mesh, 1.0)
-    return total(COMM, fem.assemble_scalar(releases.form(form * constant * ufl.dx(domain=level.mesh))))
+    return total(COMM, fem.assemble_scalar(releases.form(constant * integral(domain=level.mesh))))
 
 
 def build(mesh):
@@ -38,22 +38,15 @@ def test_area_and_boundary_survive_refinement(name):
     assert abs(measure(level) - area) < 1e-12
     assert level.cells == level.coarse.cells * 2**level.mesh.topology.dim
     assert np.isclose(level.h, level.coarse.h / 2)
-    ds = ufl.ds(domain=level.mesh)
-    perimeter = total(COMM, fem.assemble_scalar(releases.form(fem.Constant(level.mesh, 1.0) * ds)))
     owned = level.mesh.topology.index_map(level.mesh.topology.dim - 1).size_local
     named = np.unique(np.concatenate(list(level.facets.values())))
     assert np.array_equal(named[named < owned], np.sort(level.boundary_facets[level.boundary_facets < owned]))
-    coarse = total(
-        COMM,
-        fem.assemble_scalar(releases.form(fem.Constant(level.coarse.mesh, 1.0) * ufl.ds(domain=level.coarse.mesh))),
-    )
-    assert np.isclose(perimeter, coarse)
+    assert np.isclose(measure(level, ufl.ds), measure(level.coarse, ufl.ds))
 
 
 @pytest.mark.parametrize("name", MESHES)
 def test_fine_dofs_are_means_of_coarse_dofs(name):
-    """P1 prolongation: a linear function on the coarse level is the same function on the fine one; a condition holds
-    where it does at both ends of the edge."""
+    """A linear function is the same on both levels; a condition holds where it does at both ends of the edge."""
     level = build({**MESHES[name][0], "refine": 2})
     for fine in level.on_meshes.downward[:2]:
         linear = [f.tabulate_dof_coordinates() @ [1.0, 2.0, 3.0] for f in (fine.coarse.V, fine.V)]
@@ -191,13 +184,8 @@ def test_curve_that_is_not_in_the_mesh(folder):
     """A curve beside the surface, and an entity in two groups, are refused with a reason."""
     loose = GEO + "Point(90) = {0.1, 0.2, 0}; Point(91) = {0.3, 0.2, 0}; Line(99) = {90, 91};\n"
     loose += 'Physical Curve("loose") = {99};'
-    doubled = GEO + 'Physical Surface("all") = {1, 2};'
-
-    def write():
-        (folder / "loose.geo").write_text(loose)
-        (folder / "doubled.geo").write_text(doubled)
-
-    on_root(COMM, write)
+    on_root(COMM, (folder / "loose.geo").write_text, loose)
+    on_root(COMM, (folder / "doubled.geo").write_text, GEO + 'Physical Surface("all") = {1, 2};')
     scene = Scene(mesh={"file": str(folder / "loose.geo")}, tension=1, boundary=[{"on": "loose", "value": 0}])
     with pytest.raises(InputError, match="'loose' is not on the mesh; a part inside must be embedded"):
         solve(scene)
@@ -224,13 +212,12 @@ def test_cylinder_surface_is_periodic(refine):
     assert wave.record["errors"]["max"] < 0.01
 
 
-@pytest.mark.parametrize("name", ["rectangle", "box"])
-def test_a_shape_begins_coarse_and_ends_with_its_own_grid(name):
+@pytest.mark.parametrize(("name", "cells"), [("rectangle", 32), ("box", 16)])
+def test_a_shape_begins_coarse_and_ends_with_its_own_grid(name, cells):
     """Halving edges leads to the grid asked for: its vertices, and edges along its own diagonal only."""
-    shape = {"rectangle": {"shape": "rectangle", "cells": 32}, "box": {"shape": "box", "cells": 16}}[name]
-    level = build(shape)
+    level = build({"shape": name, "cells": cells})
     assert level.coarse is not None
-    assert level.dofs == (shape["cells"] + 1) ** level.mesh.topology.dim
+    assert level.dofs == (cells + 1) ** level.mesh.topology.dim
     corners = level.mesh.geometry.x[releases.geometry_dofs(level.mesh)]
     edges = np.concatenate([corners[:, i] - corners[:, j] for i in range(corners.shape[1]) for j in range(i)])
     steps = np.round(edges / level.h).astype(int)

@@ -136,8 +136,7 @@ def fields():
 @pytest.mark.parametrize("kind", fields())
 @pytest.mark.parametrize("corners", (2, 3))
 def test_enclosures(kind, corners):
-    """Bounds of heights, and of their distance to a linear function, hold at random points of cells of all sizes; cells
-    within one piece are known to be."""
+    """Bounds of heights, and of their distance to a linear function, hold in cells of all sizes."""
     field, rng = fields()[kind], np.random.default_rng(2)
     ends = ([0, 0], [0.5, 0.5]) if kind == "turned" else ([0, 0], [1, 2])
     for size in (1, 0.3, 0.05, 0.003):

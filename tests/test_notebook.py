@@ -75,9 +75,7 @@ def test_section(cell, folder, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "file",
-    slow_except(TUTORIALS, *(file for file in TUTORIALS if file.stem in QUICK)),
-    ids=lambda file: file.stem,
+    "file", slow_except(TUTORIALS, *(file for file in TUTORIALS if file.stem in QUICK)), ids=lambda file: file.stem
 )
 def test_tutorial(file, folder, monkeypatch):
     """Its assertions hold, and its picture is written."""

@@ -19,13 +19,10 @@ def test_commands_in_a_clone(monkeypatch):
     assert origin.command(2) == "mpirun -n 2 python3 mine.py 7"
 
 
-@pytest.mark.parametrize(
-    ("file", "program"),
-    [
-        ("/env/bin/fenicsx-obstacle", "fenicsx-obstacle"),
-        ("/env/fenicsx_obstacle/__main__.py", "python3 -m fenicsx_obstacle"),
-    ],
-)
+@pytest.mark.parametrize(("file", "program"), [
+    ("/env/bin/fenicsx-obstacle", "fenicsx-obstacle"),
+    ("/env/fenicsx_obstacle/__main__.py", "python3 -m fenicsx_obstacle"),
+])  # fmt: skip
 def test_commands_of_an_installed_package(folder, monkeypatch, file, program):
     """No launcher is named where none is."""
     monkeypatch.setattr(checkout, "ROOT", folder)

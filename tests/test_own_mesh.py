@@ -21,9 +21,9 @@ STIFF = 3.0
 class Own:
     """A unit square: sides left and right tagged 1 and 2, the line x = 1/2 3, cells left and right of it 5 and 6."""
 
-    def __init__(self, cells=16, cell="triangle"):
+    def __init__(self, cells=16, cell="triangle", ghosts=dmesh.GhostMode.shared_facet):
         kind = getattr(dmesh.CellType, cell)
-        self.mesh = mesh = dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [cells, cells], kind)
+        self.mesh = mesh = dmesh.create_unit_square(COMM, cells, cells, kind, ghost_mode=ghosts)
         mesh.topology.create_connectivity(1, 2)
         mesh.topology.create_entities(1)
         lines = [dmesh.locate_entities(mesh, 1, lambda x, at=at: np.isclose(x[0], at)) for at in (0, 1, 0.5)]
@@ -69,11 +69,8 @@ def test_the_same_by_names_and_by_functions(element):
         own.scene(tension={"soft": fem.Constant(own.mesh, PETSc.ScalarType(1.0)), "hard": lambda x: STIFF + 0 * x[0]}),
         own.scene(tension=ufl.conditional(ufl.lt(x[0], 0.5), 1.0, STIFF)),
         own.scene(tension=f"where(x < 1/2, 1, {STIFF})", load=lambda x: -8 + 0 * x[0], lower=lambda x: -0.2 + 0 * x[0]),
-        membrane(
-            mesh={"shape": "rectangle", "cells": 16}, tension=f"where(x < 1/2, 1, {STIFF})", load=-8, lower=-0.2,
-            boundary=[{"on": "left", "value": 0}],
-        ),
-    ]  # fmt: skip
+        membrane(tension=f"where(x < 1/2, 1, {STIFF})", load=-8, lower=-0.2, boundary=[{"on": "left", "value": 0}]),
+    ]
     first, *others = (numbers(scene, element=element, start="cold") for scene in ways)
     for found in others:
         assert np.allclose(found, first, rtol=1e-9)
@@ -82,10 +79,10 @@ def test_the_same_by_names_and_by_functions(element):
 @pytest.mark.slow
 def test_names_are_the_tags_by_default():
     own = Own(8)
-    by_number = own.scene(
-        facet_names=None, cell_names=None, tension={"5": 1, "6": 2}, boundary=[{"on": "1", "value": 0}]
-    )
-    assert np.allclose(numbers(by_number), numbers(own.scene(tension={"soft": 1, "hard": 2})), rtol=1e-12)
+    by_name = numbers(own.scene(tension={"soft": 1, "hard": 2}))
+    for tension in ({"5": 1, "6": 2}, {5: 1, 6: 2}):
+        by_number = own.scene(facet_names=None, cell_names=None, tension=tension, boundary=[{"on": "1", "value": 0}])
+        assert np.allclose(numbers(by_number), by_name, rtol=1e-12)
     both = own.scene(facet_names={"sides": [1, 2]}, boundary=[{"on": "sides", "value": 0}])
     apart = own.scene(boundary=[{"on": ["rim", "far"], "value": 0}])
     assert np.allclose(numbers(both), numbers(apart), rtol=1e-12)
@@ -104,15 +101,6 @@ def test_a_certified_tolerance():
     # what is no polynomial of the mesh stays sampled
     curved = own.scene(tension=own.mu, lower=lambda x: -0.2 - 0.1 * np.sin(x[0]))
     assert solve(curved, bound=True).record["bound"]["words"].endswith("for the sampled obstacle")
-
-
-def test_time_with_callables():
-    """f(x, t) and the formula in t: the same course."""
-    own = Own(8)
-    time = {"end": 1, "steps": 4}
-    one = solve(own.scene(load=lambda x, t: -8 * t + 0 * x[0], time=time))
-    other = solve(own.scene(load="-8*t", time=time))
-    assert np.allclose(one.time_history.column("force_lower"), other.time_history.column("force_lower"), rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -150,10 +138,7 @@ def parts_of(level):
 @pytest.mark.slow
 @pytest.mark.parametrize(("element", "cell"), [("P1", "triangle"), ("P2", "triangle"), ("Q1", "quadrilateral")])
 def test_named_parts_are_saved(element, cell, folder):
-    """Named facets and cells are read with the answer, by all ranks or by one, and the scene of the folder knows them.
-
-    So the read answer has the flux of a tension by materials, and its scene is solved again.
-    """
+    """Named facets and cells are read with the answer, by all ranks or by one; it has a flux, and is solved again."""
     own = Own(8, cell)
     mu = {"soft": 1, "hard": STIFF}
     scene = own.scene(tension=mu, facet_names={"rim / left": 1, "rim": 1, "both": [1, 2]}).change({"solve.eps": 1e-6})
@@ -173,16 +158,6 @@ def test_named_parts_are_saved(element, cell, folder):
     assert np.allclose(read.at(points, "flux"), answer.at(points, "flux"), rtol=1e-10, atol=1e-13)
     again = solve(read.scene)
     assert np.isclose(again.energy, answer.energy, rtol=1e-10) and parts_of(again.level) == known
-
-
-def test_hexahedra_are_saved(folder):
-    """A mesh of hexahedra of the caller's own is saved, read, and solved again from the folder of its answer."""
-    mesh = dmesh.create_unit_cube(COMM, 4, 3, 3, cell_type=dmesh.CellType.hexahedron)
-    answer = solve(Scene(mesh=mesh, tension=1, load=-4, lower=-0.02))
-    answer.save(folder)
-    read = Answer.read(folder)
-    assert read.force == answer.force and np.isclose(read.at([0.4, 0.3, 0.6]), answer.at([0.4, 0.3, 0.6]), rtol=1e-12)
-    assert np.isclose(solve(read.scene).energy, answer.energy, rtol=1e-9)
 
 
 @pytest.mark.slow
@@ -211,27 +186,25 @@ def test_exact_solution_as_ufl():
     assert np.isclose(ours["energy"], text["energy"], rtol=1e-6) and np.isclose(ours["l2"], text["l2"], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"facet_names": {"rim": 9}}, "facet_names: 'rim' = 9: no facet has this tag"),
-        ({"facet_tags": 3}, "facet_tags = 3: expected MeshTags of dimension 1"),
-        ({"facet_tags": None}, "facet_names needs facet_tags"),
-        ({"cell_names": ["soft"]}, r"cell_names = \['soft'\]: expected a dict"),
-        ({"mesh": {"shape": "disk"}}, "tags and names of parts go with a DOLFINx mesh"),
-        ({"tension": {"soft": 1}}, "hard"),
-        ({"boundary": [{"on": "edge", "value": 0}]}, "no part named 'edge'"),
-        ({"lower": lambda x: x}, "lower: the callable takes x of shape"),
-    ],
-)
+@pytest.mark.parametrize(("given", "words"), [
+    ({"facet_names": {"rim": 9}}, "facet_names: 'rim' = 9: no facet has this tag"),
+    ({"facet_tags": 3}, "facet_tags = 3: expected MeshTags of dimension 1"),
+    ({"facet_tags": None}, "facet_names needs facet_tags"),
+    ({"cell_names": ["soft"]}, r"cell_names = \['soft'\]: expected a dict"),
+    ({"mesh": {"shape": "disk"}}, "tags and names of parts go with a DOLFINx mesh"),
+    ({"tension": {"soft": 1}}, "hard"),
+    ({"boundary": [{"on": "edge", "value": 0}]}, "no part named 'edge'"),
+    ({"lower": lambda x: x}, "lower: the callable takes x of shape"),
+    ({"cell_names": {5: "soft"}}, r"cell_names = \{5: 'soft'\}: expected names with their tags"),
+    ({"load": lambda x, t: -t + 0 * x[0]}, "takes x and t, and the scene has no time"),
+])  # fmt: skip
 def test_mistakes(given, words):
     with pytest.raises(InputError, match=words):
         solve(Own(4).scene(**given))
 
 
 def test_tags_of_another_mesh():
-    """MeshTags of a finer, coarser or equal mesh: an error on all ranks, not another problem or the end of the
-    process."""
+    """MeshTags of a finer, coarser or equal mesh: an error on all ranks."""
     own = Own(8)
     for cells in (4, 8, 24):
         other = Own(cells)
@@ -250,13 +223,96 @@ def test_tags_of_no_entity(index):
         own.scene(cell_tags=tags)
 
 
-def test_tags_as_keys_and_data_in_time():
-    """Numbers of tags are keys as their texts are; names come first; a callable of t needs time."""
-    own = Own(cells=8)
-    given = {"mesh": own.mesh, "cell_tags": own.cell_tags, "load": -1, "lower": -0.1}
-    by_number, by_text = (solve(Scene(**given, tension=tension)) for tension in ({5: 1, 6: 20}, {"5": 1, "6": 20}))
-    assert by_number.energy == by_text.energy
-    with pytest.raises(InputError, match=r"cell_names = \{5: 'soft'\}: expected names with their tags"):
-        Scene(**given, tension=1, cell_names={5: "soft"})
-    with pytest.raises(InputError, match="takes x and t, and the scene has no time"):
-        solve(Scene(**{**given, "load": lambda x, t: -t + 0 * x[0]}, tension=1))
+def square(n=16):
+    return releases.settle(dmesh.create_unit_square(COMM, n, n))
+
+
+def on(mesh, **given):
+    """A membrane with load and obstacle on a mesh of the caller's own."""
+    return membrane(**{"mesh": mesh, "load": -8, "lower": -0.1, **given})
+
+
+def bound_of(scene, element="P1"):
+    return solve(scene, element=element, bound=True).bound
+
+
+def test_obstacles_and_boundary_values_may_be_functions():
+    """A Function, a callable and UFL as obstacle and as boundary value give what the formula gives."""
+    mesh = square(8)
+    x = ufl.SpatialCoordinate(mesh)
+    psi = fem.Function(releases.functionspace(mesh, "Lagrange", 1))
+    psi.interpolate(lambda x: 0.2 - np.hypot(x[0] - 0.5, x[1] - 0.5))
+    formula = "0.2 - hypot(x - 0.5, y - 0.5)"
+    exact, *found = (
+        solve(on(mesh, load=0, lower=lower, boundary=[{"value": value}]), method="vi").u.x.array
+        for lower, value in ((formula, "0.1*x"), (psi, lambda x: 0.1 * x[0]),
+                             (lambda x: 0.2 - np.hypot(x[0] - 0.5, x[1] - 0.5), 0.1 * x[0]))
+    )  # fmt: skip
+    assert all(largest(COMM, np.abs(one - exact)) <= 1e-10 for one in found)
+
+
+SAMPLED = {
+    "load": lambda mesh: {"load": lambda x: -8 * (1 + x[0])},
+    "tension": lambda mesh: {"tension": lambda x: 1 + x[0]},
+    "obstacle": lambda mesh: {"lower": -0.1 + 0 * ufl.SpatialCoordinate(mesh)[0]},
+    "boundary value": lambda mesh: {"boundary": [{"value": lambda x: 0.1 * x[0]}]},
+}
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+@pytest.mark.parametrize("what", SAMPLED)
+def test_bounds_say_what_was_sampled(what, element):
+    """Of UFL or a callable nothing is known between its samples: the bound names it."""
+    mesh = square()
+    bound = bound_of(on(mesh, **SAMPLED[what](mesh)), element)
+    assert bound.words.startswith("certified on the polygon of the mesh for the sampled")
+    assert what in bound.words and not bound.guaranteed
+
+
+def test_what_has_no_value_at_nodes():
+    """Values by cells, and UFL of a Function that jumps, are refused as obstacles and boundary values."""
+    mesh = square(8)
+    mu = fem.Function(releases.functionspace(mesh, "DG", 0))
+    mu.interpolate(lambda x: np.where(x[0] < 0.5, 1.0, 10.0))
+    for given, words in (
+        ({"lower": {"all": 1.0}}, "lower unknown key 'all'"),
+        ({"boundary": [{"value": {"all": 1.0}}]}, "value unknown key 'all'"),
+        ({"lower": -1.0 * mu}, "is not continuous"),
+        ({"tension": lambda x: x[0] - 2}, "must be positive"),
+    ):
+        with pytest.raises(InputError, match=words):
+            solve(on(mesh, **given))
+
+
+def test_data_outside_the_mesh_are_not_asked_for():
+    """A table that ends with the domain is a tension like any other."""
+
+    def table(x):
+        if x.size and (x.min() < -1e-9 or x.max() > 1 + 1e-9):
+            raise ValueError("outside the table")
+        return 2 + x[0]
+
+    assert solve(on(square(8), tension=table)).force.lower > 0
+
+
+def test_data_of_some_cells_on_any_number_of_ranks():
+    """UFL in a few cells, and a callable that cannot take an empty x: no rank waits for another."""
+    mesh = square()
+    middle = corners(mesh).mean(axis=1)
+    numbers = np.where(np.linalg.norm(middle[:, :2] - 0.05, axis=1) < 0.1, 1, 2).astype(np.int32)
+    tags = dmesh.meshtags(mesh, 2, np.arange(len(numbers), dtype=np.int32), numbers)
+    x = ufl.SpatialCoordinate(mesh)
+    found = []
+    for part in (-8 * (1 + x[0]), lambda x: -8 * (1 + x[0]) + 0 * x[0].max()):
+        bound = bound_of(on(mesh, cell_tags=tags, cell_names={"few": 1, "rest": 2}, load={"few": part, "rest": -1.0}))
+        assert "sampled load" in bound.words
+        found.append(bound.total)
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def test_functions_away_from_the_origin():
+    """A Function as boundary value has a value at every point of its mesh, wherever that lies."""
+    mesh = releases.settle(dmesh.create_rectangle(COMM, [np.array([10.1, 10.1]), np.array([10.7, 10.7])], [9, 9]))
+    value = fem.Function(releases.functionspace(mesh, "Lagrange", 2))
+    value.interpolate(lambda x: x[0] ** 2)
+    assert np.isfinite(bound_of(on(mesh, lower=None, boundary=[{"value": value}]), "P2").total)

@@ -35,11 +35,7 @@ def test_wheel_and_sdist_solve_in_an_environment_of_their_own(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     (sdist,) = tmp_path.glob("*.tar.gz")
     names = zipfile.ZipFile(wheel).namelist()
-    for name in (
-        "py.typed",
-        "catalogue/ball.toml",
-        "show/templates/answer.html",
-    ):
+    for name in ("py.typed", "catalogue/ball.toml", "show/templates/answer.html"):
         assert f"fenicsx_obstacle/{name}" in names
     assert any(name.endswith("LICENSE") for name in names)
     listed = run("tar", "-tzf", sdist)
@@ -170,14 +166,12 @@ def effects(loaded):
 
 @pytest.mark.slow
 def test_commands_import_what_they_need(tmp_path):
-    """A solve is saved and summarised in about a second: drawing libraries alone take longer to load. In one process
-    after another, no command but `plot` imports a library that is heavy, or the suites."""
+    """In one process after another, no command but `plot` imports a library that is heavy, or the suites."""
     (tmp_path / "plain.toml").write_text(SCENE)
     seam = case("seam").base.folder / "seam.toml"
-    plain, *more, last = modules_after(
-        "solve plain.toml", "explain plain.toml", "scenes", "compare out/plain out/plain",
-        f"solve {seam} --output out/seam", "plot out/plain --output u.svg", folder=tmp_path,
-    )  # fmt: skip
+    plain, *more, last = modules_after("solve plain.toml", "explain plain.toml", "scenes",
+                                       "compare out/plain out/plain", f"solve {seam} --output out/seam",
+                                       "plot out/plain --output u.svg", folder=tmp_path)  # fmt: skip
     for names in UNWANTED.values():
         assert all(find_spec(name) for name in names)  # a module that was renamed is none that is missing
         assert not names & plain
@@ -197,8 +191,7 @@ def test_effects_that_are_named_are_imported(tmp_path):
 
 @pytest.mark.slow
 def test_the_library_loads_no_suites():
-    """All public names, and a solve from Python, without the suites that only `theory` and `hard` need, and without
-    what pictures and pages need."""
+    """All public names, and a solve from Python, without the suites, and without what pictures and pages need."""
     code = (
         "import sys, fenicsx_obstacle as f\n"
         "assert all(hasattr(f, name) for name in f.__all__)\n"

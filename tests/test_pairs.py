@@ -95,8 +95,7 @@ def test_reference_of_each_pair(name):
 
 @pytest.mark.parametrize("name", ["P1", "Q1", "Q2", "P2", "P1-voronoi"])
 def test_pressure_balances_the_load(name):
-    """a(u, v) = f(v) + I(p, v) at free nodes: p in Q_h is what (3.7) says, for each nodal pair, and p <= 0 against the
-    upper obstacle."""
+    """a(u, v) = f(v) + I(p, v) at free nodes, as (3.7) says, and p <= 0 against the upper obstacle."""
     context = SolverContext(DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "solve.element": name}))
     problem = context.problem
     for eps in (1e-1, 1e-4, 1e-8):
@@ -133,8 +132,7 @@ def test_one_point_gauss_leaves_a_chessboard():
     "mesh", [{**SQUARE, "diagonal": "crossed"}, {**SQUARE, "diagonal": "union-jack"}, {**SQUARE, "perturb": 0.1}, BOX]
 )
 def test_voronoi_areas_are_consistent(mesh):
-    """(5.7) and its cure: for w = |x|^2 the lumped Laplacian (A w)_i / D_i is -2 dim at each inner node, on any mesh;
-    the D_i sum to |Omega|."""
+    """(5.7) and its cure: for |x|^2 the lumped Laplacian is -2 dim at each inner node; the D_i sum to |Omega|."""
     scene = Scene(mesh=mesh, tension=1, upper=9).change({"solve.element": "P1-voronoi"})
     problem = SolverContext(scene).problem
     assert total(COMM, problem.weights) == pytest.approx(1.0, rel=1e-12)
@@ -160,12 +158,6 @@ def test_mistakes():
     """Weights must be positive; elements that do not exist, or are for other cells, are among tests/cli/broken."""
     with pytest.raises(InputError, match="not positive"):
         register(Pair("bad", 1, {"triangle": Rule(((0.0, 0.0), (1.0, 0.0)), (0.5, 0.0))}, ("Lagrange", 1)))
-
-
-def test_quadrilaterals_are_q1_by_default():
-    """[mesh] cell and [solve] element choose each other."""
-    assert solve(DISK.change({"mesh.cells": 8, "mesh.cell": "quadrilateral"})).record["element"] == "Q1"
-    assert solve(DISK, cells=8, element="Q2").record["dofs"] == 17**2
 
 
 class Barycentric(Pair):

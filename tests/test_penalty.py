@@ -98,11 +98,7 @@ def test_on_part_of_the_boundary(space):
 def test_component_of_a_vector():
     """Any scalar UFL: the vertical displacement of a vector field against a floor."""
     mesh = releases.settle(dmesh.create_unit_square(COMM, 3, 3))
-    W = (
-        fem.VectorFunctionSpace(mesh, ("Lagrange", 1))
-        if releases.OLD
-        else fem.functionspace(mesh, ("Lagrange", 1, (2,)))
-    )
+    W = releases.functionspace(mesh, "Lagrange", 1, 2)
     w, v = fem.Function(W), ufl.TestFunction(W)
     rows = assembled(penalty(w[1], v[1], lower=0.25, eps=0.5), W)
     assert abs(total(COMM, rows) + 0.25 / 0.5) < 1e-14
@@ -115,14 +111,11 @@ def test_eps_is_never_compiled_in(space):
     assert first.signature() == second.signature()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"eps": 1.0}, "give an obstacle"),
-        ({"eps": 0.0, "upper": 1.0}, "positive"),
-        ({"eps": np.inf, "lower": 1.0}, "finite"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"eps": 1.0}, "give an obstacle"),
+    ({"eps": 0.0, "upper": 1.0}, "positive"),
+    ({"eps": np.inf, "lower": 1.0}, "finite"),
+])  # fmt: skip
 def test_mistakes(space, arguments, message):
     u, v = fem.Function(space), ufl.TestFunction(space)
     with pytest.raises(InputError, match=message):

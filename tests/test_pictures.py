@@ -55,21 +55,9 @@ def test_cuts_of_a_linear_function_are_exact():
         assert np.isclose(measure(zero(cube, plane)), expected)
 
 
-@pytest.mark.variant
-@pytest.mark.slow
-@pytest.mark.parametrize(("upper", "named"), [(0.002, True), (0.2, False)])
-def test_legend_names_what_is_drawn(upper, named):
-    """An obstacle far above u is outside of the picture, and not in its legend."""
-    pytest.importorskip("pyvista")
-    picture = solve(membrane(load=-8, lower=-0.1, upper=upper)).plot()
-    if COMM.rank == 0:
-        labels = [text.get_text() for legend in picture.page.legends for text in legend.get_texts()]
-        assert "lower obstacle" in labels and ("upper obstacle" in labels) == named
-
-
 def test_no_pressure_without_an_obstacle():
     """A string that touches nothing is drawn alone, with no axes for a contact pressure."""
-    picture = solve(Scene(mesh={"shape": "interval", "cells": 8}, tension=1, load=1, boundary=[{"value": 0}])).plot()
+    picture = solve(Scene(mesh={"shape": "interval", "cells": 8}, tension=1, load=1)).plot()
     assert COMM.rank > 0 or len(picture.page.axes) == 1
 
 
@@ -250,8 +238,7 @@ def test_a_solid_is_cut_open_without_slivers(monkeypatch):
 @pytest.mark.serial
 @pytest.mark.parametrize("half", [False, True])
 def test_a_body_has_its_pressure_on_the_pressed_face(half, monkeypatch):
-    """A cube pressed at x = 1: its whole surface is drawn, and the pressure on that face alone, towards the eye; of a
-    smaller box the part within it."""
+    """A cube pressed at x = 1: the pressure is on that face alone, towards the eye; of a smaller box a part."""
     pytest.importorskip("pyvista")
     held = [{"on": on, "value": [0 if k == axis else "free" for k in range(3)]}
             for axis, on in enumerate(("left", "bottom", "back"))]  # fmt: skip
@@ -282,17 +269,6 @@ def test_one_node_in_contact_keeps_its_line():
     assert measure(line) > 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", slow_except(["interval", "rectangle", "disk", "box"], "disk"))
-@pytest.mark.usefixtures("matplotlib_draws")
-def test_every_shape_has_a_picture(shape, folder):
-    """By matplotlib alone, with a note in place of views in space; pyvista's turn comes below."""
-    answer = solve(membrane(mesh={"shape": shape, "cells": 8}, load=8, upper=0.1))
-    said = answer.plot(folder / f"{shape}.png").said
-    assert "drawn by " in said
-    assert len(np.unique((pixels(folder / f"{shape}.png") * 255).astype(int).reshape(-1, 3), axis=0)) > 200
-
-
 def cylinder():
     n, m = 24, 8
     angle, z = np.meshgrid(np.arange(n) * 2 * np.pi / n, np.linspace(-1, 1, m + 1))
@@ -314,21 +290,21 @@ def test_a_surface_in_space_has_a_picture(folder):
     assert np.count_nonzero((picture[..., 0] > 0.4) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.3)) > 1000
 
 
+OUR_MPI = "' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean'"
+TROUBLE = {
+    "pyvista is not installed": None,
+    "pyvista failed (ImportError: no libGL)": "raise ImportError('no libGL')",
+    "pyvista took more than 1 s": "import time; time.sleep(60)",
+    "pyvista failed (exit status 0)": "",
+    "pyvista crashed (SIGSEGV)": "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+    "pyvista failed (clean)": f"import os, sys; sys.exit({OUR_MPI})",  # VTK's process is none of our ranks
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("code", "why"),
-    slow_except(
-        [
-            ("raise ImportError('no libGL')", "pyvista failed (ImportError: no libGL)"),
-            ("import time; time.sleep(60)", "pyvista took more than 1 s"),
-            ("", "pyvista failed (exit status 0)"),
-            ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "pyvista crashed (SIGSEGV)"),
-            (None, "pyvista is not installed"),
-        ],
-        (None, "pyvista is not installed"),
-    ),
-)
-def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
+@pytest.mark.parametrize("why", slow_except(TROUBLE, "pyvista is not installed"))
+def test_trouble_with_pyvista_is_named(why, disk, folder, monkeypatch):
+    code = TROUBLE[why]
     monkeypatch.setattr(render, "find_spec", lambda name: code if code is None else True)
     monkeypatch.setattr(render, "_WORKER", [sys.executable, "-c", code or ""])
     monkeypatch.setattr(render, "PATIENCE", 1.0 if "took" in why else 60.0)
@@ -339,15 +315,6 @@ def test_trouble_with_pyvista_is_named(code, why, disk, folder, monkeypatch):
 
 
 @pytest.mark.slow
-def test_pyvista_sees_nothing_of_our_mpi(disk, folder, monkeypatch):
-    """VTK's process would otherwise take itself for one of our ranks."""
-    code = "import os, sys; sys.exit(' '.join(k for k in os.environ if k.startswith(('OMPI_', 'PMIX_'))) or 'clean')"
-    monkeypatch.setattr(render, "find_spec", lambda name: True)
-    monkeypatch.setattr(render, "_WORKER", [sys.executable, "-c", code])
-    assert "pyvista failed (clean)" in solve(disk, cells=8).plot(folder / "disk.png").said
-
-
-@pytest.mark.slow
 def test_pyvista_draws_where_it_is(ball, folder):
     pytest.importorskip("pyvista")
     said = solve(ball, cells=16).plot(folder / "ball.png").said
@@ -355,9 +322,7 @@ def test_pyvista_draws_where_it_is(ball, folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("ending", "begins"), slow_except([("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")], ("pdf", b"%PDF"))
-)
+@pytest.mark.parametrize(("ending", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
 @pytest.mark.usefixtures("matplotlib_draws")
 def test_the_name_says_the_kind(ending, begins, disk, folder):
     solve(disk, cells=4).plot(folder / f"disk.{ending}")
@@ -400,24 +365,15 @@ def test_a_plane_mesh_with_three_coordinates(height, folder, recwarn):
 
 
 @pytest.mark.serial
-def test_contact_at_given_values_has_the_pressure_beside_it():
-    """Where u is given as the obstacle itself and a neighbour is pressed, the pressure drawn is not 0."""
-    patch = on_rank_0(solve(membrane(mesh={"shape": "rectangle", "cells": 8}, load=-3, lower=0)))
-    edge = np.isclose(patch.points[:, 0], 0.5) & np.isin(patch.points[:, 1], (0, 1))
-    assert np.count_nonzero(edge) == 2
-    assert np.allclose(patch.fields["pressure"][edge], 3, rtol=0.05)
-
-
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("mesh", "element"),
     [({"shape": "rectangle", "diagonal": "left"}, "P1"), ({"shape": "rectangle"}, "P2"), ({"shape": "box"}, "P1")],
 )
 def test_corners_in_contact_have_the_pressure_beside_them(mesh, element):
-    """Where all of u is given at the obstacle, or pressed on it, no corner and no edge is drawn without pressure, and
-    there is no free boundary; a part of the boundary beside u out of contact stays without pressure."""
+    """Of contact up to the boundary all has pressure, and no free boundary; a part beside free nodes has none."""
     patch = on_rank_0(solve(membrane(mesh={**mesh, "cells": 4}, load=-3, lower=0), element=element))
-    assert patch.fields["pressure"].min() > 1 and not free_boundary(patch)
+    pressure = patch.fields["pressure"]
+    assert pressure.min() > 1 and (element == "P2" or np.allclose(pressure, 3, rtol=0.05)) and not free_boundary(patch)
     scene = membrane(mesh={**mesh, "cells": 8}, load="where(x < 0.3, -30, 3)", lower=0)
     patch = on_rank_0(solve(scene, element=element))
     x, p = patch.points[:, 0], patch.fields["pressure"]
@@ -458,14 +414,6 @@ def test_active_sets_are_those_of_the_solve(element, disk):
     assert [np.count_nonzero(one.contact) for one in found] == [step.active for step in answer.history]
     for before, after in pairwise(found):
         assert np.count_nonzero(before.contact != after.contact) == after.step.changed
-
-
-def test_sets_shrink(ball):
-    """(3.4)* on an M-matrix: from the second set on, each is part of the one before."""
-    answer = solve(ball, method="successive", **STIFF)
-    found = iterates(answer.scene, answer.level)
-    assert len(found) > 4
-    assert all(not np.any(after.contact & ~before.contact) for before, after in pairwise(found[1:]))
 
 
 def test_all_levels_are_seen(ball):

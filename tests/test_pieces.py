@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of, range_of
-from fenicsx_obstacle.estimation.parts import Parts
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.scenes.fields import FormulaField
 from tests.test_enclosures import CORNERS, FORMULAS, SCENE, area
@@ -32,8 +31,7 @@ def pieces(data, text, x, division=DIVISION):
 @pytest.mark.parametrize("corners", [2, 3, 4])
 @pytest.mark.parametrize("degree", [1, 2, 4])
 def test_constants_of_the_remainder(corners, degree):
-    """They are bounds of sum |L_i| |a_i - x|^n, lengths being at most half the sum of the differences of barycentric
-    coordinates, and of the same with gradients: proved on parts of the simplex. They are not much larger either."""
+    """Bounds of sum |L_i| |a_i - x|^n, also with gradients: proved on parts of the simplex, and not much larger."""
     points = polynomials.inner_points(corners, degree)
     lagrange = polynomials.coefficients(np.eye(len(points)), corners, degree)
 
@@ -48,8 +46,7 @@ def test_constants_of_the_remainder(corners, degree):
     along = polynomials.slopes(lagrange, corners, degree)
 
     def steepness(parts):
-        """Gradients of barycentric coordinates are no longer than 1/H, and add up to 0: any number may be subtracted
-        from the derivatives."""
+        """Gradients of barycentric coordinates add up to 0: any number may be subtracted from the derivatives."""
         there = along @ np.swapaxes(polynomials.to_parts(parts, degree - 1), 1, 2)[:, None]
         middle = np.median(there.mean(axis=3), axis=2)
         return np.abs(there - middle[:, :, None, None]).sum(axis=2)
@@ -89,8 +86,7 @@ def holds(points, degree, sizes, limit, less=0):
 @settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(FORMULAS, CORNERS, st.integers(0, 99))
 def test_polynomials_are_near_on_each_part(data, text, x, seed):
-    """At random points of each part the datum is as near to its polynomial as the rest says, and within the bounds; the
-    parts fill the cell."""
+    """At random points the datum is as near to its polynomial as the rest says; the parts fill the cell."""
     if area(x) < 1e-3:
         return
     found = pieces(data, text, x[None])
@@ -156,21 +152,6 @@ def test_strips_get_narrow_with_h(data):
     assert shares[0] / shares[2] == pytest.approx(4, rel=0.1)
 
 
-def test_parts_are_cut_at_levels():
-    """Parts of triangles and of segments: shares add up, and no part is on both sides."""
-    rng = np.random.default_rng(1)
-    for corners in (2, 3):
-        x, values = rng.random((50, corners, 2)), rng.standard_normal((50, corners))
-        levels = np.abs(rng.standard_normal(50)) / 10
-        parts = Parts.whole(x, np.zeros(50, dtype=int)).cut(values, levels)
-        assert np.allclose(np.bincount(parts.rows, parts.share), 1)
-        there = (parts.inside @ values[parts.rows][..., None])[..., 0]
-        level = levels[parts.rows, None]
-        above, below, between = there >= level - 1e-9, there <= -level + 1e-9, np.abs(there) <= level + 1e-9
-        assert (above.all(axis=1) | below.all(axis=1) | between.all(axis=1)).all()
-        assert np.allclose(parts.inside @ x[parts.rows], parts.x)
-
-
 def test_smooth_data_gain_an_order_with_the_degree(data):
     """The rest of interpolants of degree 2 falls like h^3, of degree 4 like h^5."""
     for degree, rate in ((2, 3), (4, 5)):
@@ -184,8 +165,7 @@ def test_smooth_data_gain_an_order_with_the_degree(data):
 
 @pytest.mark.parametrize("height", [0.1, 1e-3, 1e-6, 1e-9])
 def test_slopes_on_thin_parts(data, height):
-    """Where slopes count, the bound of the slope of datum minus polynomial does not grow as a part becomes thin, and
-    holds."""
+    """The bound of the slope of datum minus polynomial holds, and does not grow as a part becomes thin."""
     x = np.array([[(0.3, 0.3), (0.5, 0.3), (0.4, 0.3 + height)]])
     (group,) = pieces(data, "sin(9*x)*exp(3*y)", x, Division(0, slopes=True)).groups
     along = polynomials.slopes(group.coefficients, 3, group.degree)

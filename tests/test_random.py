@@ -45,9 +45,9 @@ def rows_of(counts):
 
 @pytest.mark.slow
 @pytest.mark.ranks
-@pytest.mark.parametrize("family", [
-    pytest.param(name, marks=[pytest.mark.variant] * (name not in ON_RANKS)) for name in shares(100)
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "family", [pytest.param(name, marks=[pytest.mark.variant] * (name not in ON_RANKS)) for name in shares(100)]
+)
 def test_families(family):
     """A short form of `./obstacle hard --random`, with scenes of its own: invariants and certificates hold, answers are
     right, what has none is rejected.

@@ -19,29 +19,22 @@ from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import agree, on_root, warn
 from tests.conftest import DEMOS
-from tests.helpers import run
+from tests.helpers import Membrane, run
+from tests.test_own_mesh import Own
 
 pytestmark = pytest.mark.ranks
 COMM = MPI.COMM_WORLD
 GHOSTS = dmesh.GhostMode
-TRIANGLES, QUADRILATERALS = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
 
 
-class Weld:
-    """A unit square with the line y = 1/2 tagged 1 and the side y = 1 tagged 2; u = 0 on this side."""
+class Weld(Own):
+    """A unit square with the line x = 1/2 tagged 3 and the side x = 1 tagged 2; u = 0 on this side."""
 
-    def __init__(self, kind: Any, ghosts: Any, n: int = 8):
-        self.mesh = dmesh.create_unit_square(COMM, n, 2 * n, kind, ghost_mode=ghosts)
-        self.mesh.topology.create_entities(1)
-        weld = dmesh.locate_entities(self.mesh, 1, lambda x: np.isclose(x[1], 0.5))
-        top = dmesh.locate_entities_boundary(self.mesh, 1, lambda x: np.isclose(x[1], 1))
-        facets = np.concatenate([weld, top]).astype(np.int32)
-        values = np.concatenate([np.full(len(weld), 1), np.full(len(top), 2)]).astype(np.int32)
-        order = np.argsort(facets)
-        self.tags = dmesh.meshtags(self.mesh, 1, facets[order], values[order])
-        self.dS = ufl.Measure("dS", domain=self.mesh, subdomain_data=self.tags)
+    def __init__(self, cell: str, ghosts: Any):
+        super().__init__(16, cell, ghosts)
+        self.dS = ufl.Measure("dS", domain=self.mesh, subdomain_data=self.facet_tags)
         self.V = releases.functionspace(self.mesh, "Lagrange", 1)
-        self.top = fem.dirichletbc(0.0, fem.locate_dofs_topological(self.V, 1, self.tags.find(2)), self.V)
+        self.top = fem.dirichletbc(0.0, fem.locate_dofs_topological(self.V, 1, self.facet_tags.find(2)), self.V)
 
     def problem(self, term: Any = None, **how: Any) -> ObstacleProblem:
         u, v = fem.Function(self.V), ufl.TestFunction(self.V)
@@ -49,8 +42,8 @@ class Weld:
         return ObstacleProblem(F if term is None else F + term(v), u, bcs=[self.top], **how)
 
     def scene(self, item: dict[str, Any], **more: Any) -> Scene:
-        return Scene(mesh=self.mesh, facet_tags=self.tags, facet_names={"weld": 1, "top": 2}, tension=1, load=-3,
-                     boundary=[{"on": "top", "value": 0}, {"on": "weld", **item}], **more)  # fmt: skip
+        boundary = [{"on": "top", "value": 0}, {"on": "weld", **item}]
+        return super().scene(**{"load": -3, "facet_names": {"weld": 3, "top": 2}, "boundary": boundary, **more})
 
 
 def right_or_refused(run: Any, right: Any, whole: bool) -> None:
@@ -65,18 +58,18 @@ def right_or_refused(run: Any, right: Any, whole: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ghosts", [GHOSTS.none, GHOSTS.shared_facet])
-@pytest.mark.parametrize("kind", [TRIANGLES, QUADRILATERALS])
+@pytest.mark.parametrize("kind", ["triangle", "quadrilateral"])
 def test_facets_inside_have_both_sides(kind: Any, ghosts: Any) -> None:
     weld, whole = Weld(kind, ghosts), ghosts == GHOSTS.shared_facet
 
     def contact() -> list[float]:
-        solution = weld.problem(lower=-0.3, measure=weld.dS(1)).solve(method="vi")
+        solution = weld.problem(lower=-0.3, measure=weld.dS(3)).solve(method="vi")
         return [solution.force.lower, solution.area]
 
     right_or_refused(contact, [1.65, 1.0], whole)
 
-    def load() -> np.ndarray:  # u'' = 3, u(1) = 0: the load adds -2 (1 - y) above the line
-        problem = weld.problem(lambda v: 2 * ufl.avg(v) * weld.dS(1), lower=-9)
+    def load() -> np.ndarray:  # u'' = 3, u(1) = 0: the load adds -2 (1 - x) beyond the line
+        problem = weld.problem(lambda v: 2 * ufl.avg(v) * weld.dS(3), lower=-9)
         return problem.solve(method="vi").at([0.5, 0.5])
 
     right_or_refused(load, -2.125, whole)
@@ -85,7 +78,7 @@ def test_facets_inside_have_both_sides(kind: Any, ghosts: Any) -> None:
 
 
 def test_integrals_over_all_facets_inside_need_both_sides() -> None:
-    weld = Weld(TRIANGLES, GHOSTS.none)
+    weld = Weld("triangle", GHOSTS.none)
     if COMM.size == 1:
         weld.problem(lambda v: ufl.avg(v) * ufl.dS, lower=-1)
         return
@@ -95,10 +88,9 @@ def test_integrals_over_all_facets_inside_need_both_sides() -> None:
 
 @pytest.mark.parametrize("ghosts", [GHOSTS.none, GHOSTS.shared_facet])
 def test_outputs_on_facets_inside_need_no_ghosts(ghosts: Any) -> None:
-    # u'' = 3, u'(0) = 0, u(1/2) = -0.2, u(1) = 0: the slope is 3/2 below the line and 0.4 - 3/4 above it
-    report = {"mean": 'integral(u, "weld")', "out": 'integral(normal_flux, "weld")',
-              "kink": 'integral(jump, "weld")'}  # fmt: skip
-    found = solve(Weld(TRIANGLES, ghosts).scene({"value": -0.2}, lower=-9, report=report)).report
+    # u'' = 3, u'(0) = 0, u(1/2) = -0.2, u(1) = 0: the slope is 3/2 before the line and 0.4 - 3/4 beyond it
+    report = {"mean": 'integral(u, "weld")', "out": 'integral(normal_flux, "weld")', "kink": 'integral(jump, "weld")'}
+    found = solve(Weld("triangle", ghosts).scene({"value": -0.2}, lower=-9, report=report)).report
     assert_allclose(found["mean"], -0.2, rtol=1e-9)
     assert_allclose(found["out"], 3 / 2 - (0.4 - 3 / 4), rtol=1e-6)
     assert found["kink"] == pytest.approx(found["out"], rel=0.2)
@@ -121,13 +113,9 @@ def region(name: str, ghosts: Any, comm: MPI.Comm) -> dmesh.Mesh:
 
 
 def membrane_on(mesh: dmesh.Mesh, degree: int, lower: Any) -> Solution:
-    edge = np.asarray(dmesh.exterior_facet_indices(mesh.topology), dtype=np.int32)
-    V = releases.functionspace(mesh, "Lagrange", degree)
-    bc = fem.dirichletbc(0.0, fem.locate_dofs_topological(V, 1, edge), V)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 20 * v * ufl.dx
-    solution = ObstacleProblem(F, u, bcs=[bc], lower=lower).solve()
-    assert COMM.allreduce(np.abs(solution.u.x.array - u.x.array).max(initial=0.0), MPI.MAX) == 0.0
+    own = Membrane(mesh, degree, load=-20.0)
+    solution = own.problem(lower=lower).solve()
+    assert COMM.allreduce(np.abs(solution.u.x.array - own.u.x.array).max(initial=0.0), MPI.MAX) == 0.0
     return solution
 
 
@@ -182,7 +170,7 @@ class Odd(Exception):
 @pytest.mark.parametrize("method", ["penalty", "vi"])
 @pytest.mark.parametrize("error", [ValueError("mine"), Odd()])
 def test_a_monitor_that_raises_on_one_rank_ends_all(error: Exception, method: str) -> None:
-    problem = Weld(TRIANGLES, GHOSTS.shared_facet).problem(lower=-0.3)
+    problem = Weld("triangle", GHOSTS.shared_facet).problem(lower=-0.3)
     right = problem.solve(method=method).force.lower
 
     def monitor(number: int, step: Any) -> None:
@@ -208,11 +196,9 @@ class Torn(Field):
 
 @pytest.mark.parametrize("where", ["load", "tension", "lower", "value", "flux"])
 def test_data_that_raise_on_one_rank_end_all(where: str) -> None:
-    weld = Weld(TRIANGLES, GHOSTS.shared_facet)
+    weld = Weld("triangle", GHOSTS.shared_facet)
     item = {where: Torn()} if where in ("value", "flux") else {"value": 0}
-    data = {"tension": 1, "load": -3, "lower": -1, **({} if where in item else {where: Torn()})}
-    scene = Scene(mesh=weld.mesh, facet_tags=weld.tags, facet_names={"weld": 1, "top": 2},
-                  boundary=[{"on": "top", "value": 0}, {"on": "weld", **item}], **data)  # fmt: skip
+    scene = weld.scene(item, **{"lower": -1, **({} if where in item else {where: Torn()})})
     with pytest.raises(KeyError, match="torn"):
         solve(scene)
 
@@ -251,10 +237,10 @@ def test_refined_submeshes_of_several_parts(ghosts: Any) -> None:
     whole = dmesh.create_unit_square(COMM, 8, 8, ghost_mode=ghosts)
     cells = dmesh.locate_entities(whole, 2, lambda x: abs(x[0] - 0.5) > 0.2)
     mesh = dmesh.create_submesh(whole, 2, np.sort(cells).astype(np.int32))[0]
-    scene = Scene(mesh=mesh, tension=1, load=-20, lower=-0.02, boundary=[{"value": 0}])
+    scene = Scene(mesh=mesh, tension=1, load=-20, lower=-0.02)
     fine = solve(scene.change({"mesh.refine": 1}))
     half = solve(Scene(mesh={"shape": "rectangle", "x": [0, 0.25], "cells": 2, "refine": 1}, tension=1, load=-20,
-                       lower=-0.02, boundary=[{"value": 0}]))  # fmt: skip
+                       lower=-0.02))  # fmt: skip
     assert fine.dofs == 2 * half.dofs and fine.force.lower == pytest.approx(2 * half.force.lower, rel=1e-4)
 
 

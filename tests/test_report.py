@@ -40,16 +40,13 @@ ELEMENTS = [*((shape, "P1") for shape in POINTS), ("rectangle", "P2"),
 
 @pytest.mark.parametrize(("shape", "element"), ELEMENTS)
 def test_known_values(shape, element):
-    """Polynomials up to degree 6 are integrated exactly, on every element; entries use earlier ones; nothing depends on
-    the ranks."""
+    """Polynomials up to degree 6 are integrated exactly; entries use earlier ones; nothing depends on the ranks."""
     entries = {name: text for name, (text, _) in FIGURES.items()}
     entries |= {"here": f"at(u, {POINTS[shape]})", "steep": f"at(flux, {POINTS[shape]})"}
     cell = "hexahedron" if shape == "box" and element != "P1" else CELLS[element]
     mesh = {"shape": shape, "cells": 5 if element == "P1" else 3, **({} if cell is None else {"cell": cell})}
-    scene = Scene(
-        mesh=mesh, tension=2, define={"k": 5}, report=entries,
-        boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 3}],
-    )  # fmt: skip
+    scene = Scene(mesh=mesh, tension=2, define={"k": 5}, report=entries,
+                  boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 3}])  # fmt: skip
     answer = solve(scene, element=element)
     expected = {**{name: value for name, (_, value) in FIGURES.items()}, "here": 0.9, "steep": 6}
     assert list(answer.report) == list(expected)
@@ -60,24 +57,23 @@ def test_known_values(shape, element):
 
 
 def test_contact_figures():
-    """The force of the record is the integral of a P1 function; `contact` is 1 at nodes that press, so that its
-    integral is above the area."""
-    report = {"area": "integral(contact)", "force": "-integral(p)", "deep": "sup(u - c)", "none": "ln(-area)"}
+    """The force is the integral of a P1 function; `contact` is 1 at nodes that press: its integral exceeds the area."""
+    report = {"area": "integral(contact)", "force": "-integral(p)", "deep": "sup(u - c)", "none": "ln(-area)",
+              "high": "max(1/u)", "low": "min(ln(u))"}  # fmt: skip
     answer = solve(membrane(load=8, upper="c", define={"c": 0.2}, report=report), eps=1e-6)
     contact = answer.record["contact"]
     assert 1.02 * contact["area"] < answer.report["area"] < 1.3 * contact["area"]
     assert np.isclose(answer.report["force"], contact["upper"]["force"], rtol=1e-12)
     assert np.isclose(answer.report["deep"], answer.record["penetration"], rtol=1e-9)
-    assert answer.report["none"] is None  # JSON knows no not-a-number
+    assert all(answer.report[name] is None for name in ("none", "high", "low"))  # JSON knows no not-a-number
     assert "none = not finite" in answer.summary()
 
 
 def test_slope_on_an_edge_is_the_mean_of_both_sides():
     """u = |x - 1/2| on the middle of the interval has slopes 1 and 1, x^2 there 0.9 and 1.1."""
-    scene = Scene(
-        mesh={"shape": "interval", "cells": 10}, tension=1, load=-2, report={"s": "at(slope, 1/2)", "v": "at(u, 1/2)"},
-        boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 1}],
-    )  # fmt: skip
+    scene = Scene(mesh={"shape": "interval", "cells": 10}, tension=1, load=-2,
+                  report={"s": "at(slope, 1/2)", "v": "at(u, 1/2)"},
+                  boundary=[{"on": "left", "value": 0}, {"on": "right", "value": 1}])  # fmt: skip
     assert np.isclose(solve(scene).report["s"], 1.0)
     assert np.isclose(solve(scene).report["v"], 0.25)
 
@@ -99,8 +95,7 @@ BALANCES = {
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "penalty"))
 @pytest.mark.parametrize("name", BALANCES)
 def test_normal_flux_balances_load_and_contact(name, method):
-    """int tension du/dn over the boundary is -int (load + p), to the solver's accuracy, on any mesh, by any element; a
-    report says where its extremes are."""
+    """int tension du/dn is -int (load + p), to the solver's accuracy; a report says where its extremes are."""
     mesh, parts, data = BALANCES[name]
     entries = {f"out_{part}": f'integral(normal_flux, "{part}")' for part in parts}
     report = {**entries, "force": "integral(p)", "load": f"integral({data['load']})", "deepest": "inf(u)"}
@@ -113,24 +108,7 @@ def test_normal_flux_balances_load_and_contact(name, method):
         assert found["force"] > 1 and np.isclose(found["force"], answer.force.lower, rtol=1e-9)
 
 
-@pytest.mark.slow
-def test_normal_flux_has_a_sign_and_an_order():
-    """u = x^2 (1 + y), given all around: du/dn is 0 on the left, 2 (1 + y) on the right, -x^2 below and x^2 above.
-
-    Errors go nearly like h^2; where u is free there is no flux.
-    """
-    values = {"left": 0.0, "right": 3.0, "bottom": -1 / 3, "top": 1 / 3}
-    errors = []
-    for cells in (8, 16):
-        report = {name: f'integral(normal_flux, "{name}")' for name in values}
-        scene = membrane(
-            mesh={"shape": "rectangle", "cells": cells}, load="-2*(1 + y)", boundary=[{"value": "x^2*(1 + y)"}],
-            report=report,
-        )  # fmt: skip
-        found = solve(scene).report
-        errors.append([abs(found[name] - value) for name, value in values.items()])
-    assert np.max(errors[1]) < 0.01
-    assert np.all(np.array(errors[1]) < 0.4 * np.array(errors[0]))
+def test_no_flux_leaves_where_u_is_free():
     report = {name: f'integral(normal_flux, "{name}")' for name in ("left", "right", "top")}
     free = solve(membrane(load=1, boundary=[{"on": "left", "value": 0}], report=report)).report
     assert np.allclose([free["left"], free["right"], free["top"]], [-1, 0, 0], atol=1e-9)
@@ -152,19 +130,6 @@ def test_contact_on_a_part_is_not_integrated_over_cells():
     report = {"force": "integral(p, 'right')", "out": "integral(u + 0*integral(contact, 'right'))"}
     answer = solve(membrane(load=1, boundary=wall, report=report))
     assert np.isclose(answer.report["force"], -answer.force.upper, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_normal_flux_into_a_curve_inside():
-    """The groove and the ends of the bearing take what load and cavitation leave: both sides of the groove count."""
-    report = {
-        "groove": 'integral(normal_flux, "groove")',
-        "out": 'groove + integral(normal_flux, "ends")',
-        "source": "integral(6*ecc*sin(theta)) + integral(p)",
-    }
-    found = solve(Scene.read(DEMOS / "bearing.toml").change({"report": report})).report
-    assert np.isclose(found["out"], -found["source"], rtol=1e-7)
-    assert abs(found["groove"]) > 0.1 * abs(found["out"])
 
 
 def test_answer_at(folder):
@@ -208,21 +173,17 @@ DISTANCES = {
     "l-shape": ({"shape": "l-shape", "x": [-1, 1], "y": [-1, 1], "cells": 20, "refine": 1},
                 lambda x: np.min([x[0] + 1, 1 - x[0], x[1] + 1, 1 - x[1],
                                   np.hypot(np.maximum(-x[0], 0), np.maximum(x[1], 0))], axis=0)),
+    "disk": ({"shape": "disk", "cells": 40}, lambda x: 1 - np.hypot(x[0], x[1]), 0.05**2 / 4),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", DISTANCES)
 def test_distance(name):
-    """Exact for polygons, whatever the ranks; about 160 facets ask for several rounds of candidates."""
-    mesh, exact = DISTANCES[name]
+    """Exact for polygons, whatever the ranks; about 160 facets ask for several rounds of candidates. In the middle of a
+    disk all facets are equally near; the polygon lies h^2/8 inside the circle."""
+    mesh, exact, *tolerance = DISTANCES[name]
     found, x = nodal_distance(mesh)
-    assert np.allclose(found, exact(x), atol=1e-12)
-
-
-def test_distance_in_a_disk():
-    """In the middle all facets are equally near; the polygon lies h^2/8 inside the circle."""
-    found, x = nodal_distance({"shape": "disk", "cells": 40})
-    assert np.allclose(found, 1 - np.hypot(x[0], x[1]), atol=0.05**2 / 4)
+    assert np.allclose(found, exact(x), atol=max(tolerance, default=1e-12))
 
 
 def test_distance_to_a_triangle():
@@ -261,8 +222,7 @@ def test_distance_needs_a_boundary_in_the_same_space(folder):
 
 
 def test_places_of_extremes():
-    """An entry that is a max or a min of one argument alone, or sup and inf, says where it is; of equal ones the first
-    by coordinates. Elsewhere max of one argument is not known."""
+    """max, min, sup and inf of one argument say where they are, of equal ones the first by coordinates."""
     scene = membrane(boundary=[{"value": "x - 2*y"}], report={"top": "max(u)", "low": "min(u)", "slope_": "sup(slope)"})
     with pytest.raises(InputError, match=r"in \[report\] max of one argument is over the whole domain"):
         membrane(load="max(x)")
@@ -290,6 +250,8 @@ def test_flux_through_a_curve_inside(element):
     found, slopes = solve(loaded, element=element).report, np.linalg.solve([[1, -3], [0.5, 0.5]], [2, 1])
     assert np.isclose(found["leaving"], slopes[0]) and np.isclose(found["entering"], -3 * slopes[1])
     assert np.isclose(found["jump_"], 2)
+    with pytest.raises(InputError, match=r"what .*boundary.* gives"):
+        solve(loaded.change({"report": {"q": "integral(normal_flux, 'middle')"}}))
     for text, message in (
         ("integral(normal_flux, 'middle', 'rim')", "no material named 'rim'"),
         ("integral(normal_flux, 'middle')", "from one side it is integral"),
@@ -314,9 +276,3 @@ def test_extremes_of_the_pressure_are_at_its_nodes():
     scene = membrane(load=-8, lower=-0.1, report={"most": "max(p)"})
     answer = solve(scene, element="P2", cells=16)
     assert np.isclose(answer.record["report"]["most"], largest(COMM, answer.pressure.x.array), rtol=1e-9)
-
-
-def test_infinite_extremes():
-    """They are null, without a place."""
-    record = solve(membrane(load=-1, lower=-0.1, report={"high": "max(1/u)", "low": "min(ln(-u))"})).record
-    assert record["report"] == {"high": None, "low": None}

@@ -3,9 +3,7 @@
 import json
 import os
 import resource
-import shutil
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +15,6 @@ from fenicsx_obstacle.parallel import write_text
 from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import RowStore, row_key
-from tests.cli.faults import disk
 from tests.cli.faults.kill import kills
 from tests.conftest import CLEAN, DEMOS
 from tests.helpers import inside, run
@@ -240,18 +237,6 @@ def test_rows_are_written_into_no_other_file(name, tmp_path):
     os.mkfifo(tmp_path / "out" / name)
     with pytest.raises(InputError, match="is no file"):
         RowStore(tmp_path / "out")
-
-
-@pytest.mark.slow
-def test_files_that_may_not_grow(tmp_path):
-    """A solve over an earlier answer: one message, and nothing has changed."""
-    command = disk.COMMANDS["solve"]
-    assert disk._run(1, [*command[:2], "--cells", "8"], tmp_path / "before", CLEAN).returncode == 0
-    for size in (100, 4000):
-        folder = tmp_path / str(size)
-        shutil.copytree(tmp_path / "before", folder)
-        limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-        assert disk._refused("solve", 1, command, folder, {**CLEAN, **disk.ALONE}, disk.FULL, limit).wrong == ""
 
 
 def test_devices_are_written_as_they_are(tmp_path):

@@ -11,21 +11,19 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import ObstacleProblem, PenetrationWarning, Scene, releases, solve, solve_system
 from tests.conftest import COMM
+from tests.helpers import Membrane
 
 
 def string(end, n=40):
-    """A string on [0, 1] with 100 cells and one on [1, end] with n, held at 0, 1 and the end, over a lower obstacle
-    at half the sag of the short one."""
+    """Strings on [0, 1] with 100 cells and on [1, end] with n; the second has an obstacle at half its sag."""
     mesh = dmesh.create_unit_interval(COMM, 100 + n)
     t = mesh.geometry.x[:, 0] * (100 + n)
     mesh.geometry.x[:, 0] = np.where(t <= 100, t / 100, 1 + (end - 1) * (t - 100) / n)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v, x = fem.Function(V), ufl.TestFunction(V), V.tabulate_dof_coordinates()[:, 0]
+    own = Membrane(mesh, load=-1.0)
+    x, lower = own.V.tabulate_dof_coordinates()[:, 0], fem.Function(own.V)
     held = np.flatnonzero((x < 1e-12) | (np.abs(x - 1) < 1e-12) | (x > end - 1e-12)).astype(np.int32)
-    lower = fem.Function(V)
     lower.x.array[:] = np.where(x < 1 + 1e-9, -np.inf, -((end - 1) ** 2) / 16)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + v * ufl.dx
-    return ObstacleProblem(F, u, bcs=[fem.dirichletbc(fem.Function(V), held)], lower=lower)
+    return own.problem(bcs=[fem.dirichletbc(own.edge, held)], lower=lower)
 
 
 @pytest.mark.parametrize("short", [0.01, 0.003, 0.001])
@@ -51,14 +49,11 @@ def test_nodes_of_tiny_cells_are_points_of_the_rule(cell, least, method):
         n, dim, mesh = 14, 2, dmesh.create_unit_square(COMM, 14, 14, getattr(dmesh.CellType, cell))
     grades = np.append(0.0, least ** (1 - np.arange(n) / (n - 1)))
     mesh.geometry.x[:, :dim] = grades[np.rint(mesh.geometry.x[:, :dim] * n).astype(int)]
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v, x = fem.Function(V), ufl.TestFunction(V), V.tabulate_dof_coordinates()[:, :dim]
+    own = Membrane(mesh, load=1.0)
+    x, upper = own.V.tabulate_dof_coordinates()[:, :dim], fem.Function(own.V)
     far = np.flatnonzero(np.isclose(x, 1).any(axis=1)).astype(np.int32)
-    upper = fem.Function(V)
     upper.x.array[:] = np.where(x.max(axis=1) <= 3 * least, 0.1, np.inf)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - v * ufl.dx
-    problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(fem.Function(V), far)], upper=upper)
-    found = problem.solve(method=method)
+    found = own.problem(bcs=[fem.dirichletbc(own.edge, far)], upper=upper).solve(method=method)
     assert found.force.upper > 0
     assert found.at([0.0] * dim) == pytest.approx(0.1, abs=1e-3 if method == "penalty" else 1e-12)
 
@@ -67,15 +62,13 @@ def test_nodes_of_tiny_cells_are_points_of_the_rule(cell, least, method):
 @pytest.mark.parametrize("beta", [1e6, 1e10, 1e12])
 def test_penalised_boundary_values_of_a_nonlinear_form(beta, method):
     """They hide no force inside, in a first solve and in a second one with another load."""
-    mesh = dmesh.create_unit_square(COMM, 10, 10)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v, x = fem.Function(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
-    load, stiff = (fem.Constant(mesh, value) for value in (-20.0, beta))
-    given = 0.5 + 0.2 * ufl.sin(4 * x[0])
-    F = (1 + 5 * u**2) * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - load * v * ufl.dx
-    problem = ObstacleProblem(F + stiff * (u - given) * v * ufl.ds, u, lower=-0.3)
+    own = Membrane(cells=10, load=-20.0)
+    u, v = own.u, own.v
+    given = 0.5 + 0.2 * ufl.sin(4 * ufl.SpatialCoordinate(own.mesh)[0])
+    F = (1 + 5 * u**2) * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - own.f * v * ufl.dx
+    problem = ObstacleProblem(F + fem.Constant(own.mesh, beta) * (u - given) * v * ufl.ds, u, lower=-0.3)
     assert problem.solve(method=method).force.lower == pytest.approx(1.0205, abs=3e-3)
-    load.value = -6.0
+    own.f.value = -6.0
     second = problem.solve(method=method)
     assert second.force.lower == 0 and second.verify()
     assert second.at([0.5, 0.5]) > 0.25
@@ -95,26 +88,18 @@ def test_functions_on_other_meshes_in_any_unit_of_length(cell, unit):
         x *= unit
         return mesh
 
-    mesh, other = made(8), made(3)
-    V, W = (releases.functionspace(one, "Lagrange", 1) for one in (mesh, other))
-    u, v, lower = fem.Function(V), ufl.TestFunction(V), fem.Function(W)
+    own, lower = Membrane(made(8), load=-3 / unit**2), fem.Function(releases.functionspace(made(3), "Lagrange", 1))
     lower.interpolate(lambda x: -0.1 - 0.05 * (x[0] + 2 * x[1]) / unit)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + fem.Constant(mesh, 3 / unit**2) * v * ufl.dx
-    mesh.topology.create_connectivity(mesh.topology.dim - 1, mesh.topology.dim)
-    rim = dmesh.exterior_facet_indices(mesh.topology)
-    held = fem.dirichletbc(fem.Function(V), fem.locate_dofs_topological(V, mesh.topology.dim - 1, rim))
-    found = ObstacleProblem(F, u, bcs=[held], lower=lower).solve(method="vi")
-    x = V.tabulate_dof_coordinates().T / unit
+    found = own.problem(lower=lower).solve(method="vi")
+    x = own.V.tabulate_dof_coordinates().T / unit
     assert found.lower.x.array == pytest.approx(-0.1 - 0.05 * (x[0] + 2 * x[1]), abs=1e-12)
 
 
 def test_a_stiff_part_does_not_make_a_form_symmetric():
     """Drift in one half, which the entries of a stiff boundary condition exceed by far: there is no energy."""
-    mesh = dmesh.create_unit_square(COMM, 8, 8)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 30 * u.dx(0) * v * ufl.dx + 1e14 * u * v * ufl.ds + v * ufl.dx
-    assert ObstacleProblem(F, u, lower=-0.01).solve().energy is None
+    own = Membrane(cells=8, load=-1.0)
+    own.F += 30 * own.u.dx(0) * own.v * ufl.dx + 1e14 * own.u * own.v * ufl.ds
+    assert own.problem(bcs=[], lower=-0.01).solve().energy is None
 
 
 @pytest.mark.parametrize("kind", ["baij", "dense"])
@@ -134,9 +119,8 @@ def test_matrices_of_other_types(kind):
 
 def test_no_warning_about_round_off_in_contact_everywhere(recwarn):
     """u is the obstacle and differs from the start by round-off, whose energy has either sign."""
-    mesh = dmesh.create_unit_interval(COMM, 12)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
+    own = Membrane(dmesh.create_unit_interval(COMM, 12))
+    u, v = own.u, own.v
     F = 1e-6 * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx + 0.5 * (u - 1.3) * v * ufl.ds - 7e7 * v * ufl.dx
     found = ObstacleProblem(F, u, upper=1.2173094325172513).solve(method="vi")
     assert found.contact.x.array.all()
@@ -173,19 +157,16 @@ def test_contact_on_a_curve_inside_with_a_nonlinear_form():
 def test_a_part_that_given_values_separate_is_solved_beside_much_larger_loads(ratio, method):
     """Two strings of length 1/2 with a common end; the load of one is `ratio` times that of the other, which has an
     obstacle, and changes between solves: force q (1/2 - 2 (2 g/q)^(1/2)) for an obstacle at -g."""
-    mesh = dmesh.create_unit_interval(COMM, 400)
-    V = releases.functionspace(mesh, "Lagrange", 1)
-    u, v = fem.Function(V), ufl.TestFunction(V)
-    nodes = V.tabulate_dof_coordinates()[:, 0]
+    own = Membrane(dmesh.create_unit_interval(COMM, 400), load=-8.0)
+    nodes, lower = own.V.tabulate_dof_coordinates()[:, 0], fem.Function(own.V)
     held = np.flatnonzero(np.min(np.abs(nodes - np.array([[0], [0.5], [1]])), axis=0) < 1e-12).astype(np.int32)
-    lower, load = fem.Function(V), fem.Constant(mesh, 8.0)
     lower.x.array[:] = np.where(nodes < 0.5 + 1e-12, -np.inf, -0.15)
-    left = fem.Function(releases.functionspace(mesh, "DG", 0))
+    left = fem.Function(releases.functionspace(own.mesh, "DG", 0))
     left.interpolate(lambda x: np.where(x[0] < 0.5, 1.0, 0.0))
-    F = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - ratio * left * v * ufl.dx + load * (1 - left) * v * ufl.dx
-    problem = ObstacleProblem(F, u, bcs=[fem.dirichletbc(fem.Function(V), held)], lower=lower)
+    own.F += (own.f - ratio) * left * own.v * ufl.dx
+    problem = own.problem(bcs=[fem.dirichletbc(own.edge, held)], lower=lower)
     for q in (8.0, 16.0, 32.0, 1.0):
-        load.value = q
+        own.f.value = -q
         found = problem.solve(method=method)
         force = q * (0.5 - 2 * (0.3 / q) ** 0.5) if q > 5 else 0.0
         assert found.force.lower == pytest.approx(force, rel=2e-3, abs=1e-12), q

@@ -1,8 +1,5 @@
 """Obstacle problems given as matrices, with truths of dense linear algebra."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import scipy.sparse
@@ -16,7 +13,8 @@ from fenicsx_obstacle import InputError, solve_system
 from fenicsx_obstacle.algebra.data_scales import determined, stiffness_of
 from fenicsx_obstacle.algebra.linear import Collapsed, attempt, check_diagonal
 from fenicsx_obstacle.algebra.solve_system import MatrixSystem
-from tests.conftest import CLEAN, COMM
+from tests.conftest import COMM
+from tests.helpers import run_python
 
 MANY = {1: 1000, 2: 40}.get(COMM.size, 20)  # ranks wait for each other
 WITHOUT_DOLFINX = """
@@ -64,10 +62,7 @@ def m_matrix(random, n, singular=False):
 
 
 def truth(A, f, lower, upper, given):
-    """The minimiser between the bounds, by an active-set method of SciPy for bounded least squares.
-
-    `given` are values of u, not-a-number where it is free.
-    """
+    """The minimiser between the bounds by SciPy's bounded least squares; `given` is not-a-number where u is free."""
     u = np.where(lower == upper, lower, given)
     free = np.isnan(u)
     if free.any():
@@ -196,28 +191,25 @@ def test_steps_do_not_depend_on_the_size(how):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({"lower": 1.0, "upper": 0.0}, "lower is above upper at 3 rows"),
-        ({"lower": np.inf, "upper": np.inf}, "lower is inf at 3 rows"),
-        ({"upper": -1e20}, "upper is -inf at 3 rows"),
-        ({"weights": [1.0, 0.0, 1.0]}, "weights: must be positive at 1 row"),
-        ({"f": [1.0, np.nan, 1.0]}, "f: holds values that are not finite"),
-        ({"f": np.ma.masked_equal([1.0, 2.0, 1.0], 2.0)}, "f: holds values that are not finite"),
-        ({"f": [1.0, 2.0]}, "f: expected a number, or an array of 3 numbers"),
-        ({"fixed": [3], "given": 2.0}, "fixed: expected 3 flags, or numbers of owned rows from 0 to 2"),
-        ({"fixed": [0], "given": 2.0, "upper": 1.0}, "given values are not between the bounds at 1 row"),
-        ({"A": -np.eye(3)}, "A: must be positive definite, but the diagonal is not positive at 3 rows"),
-        ({"A": np.ones((3, 2))}, "A: expected a square matrix, it has 3 rows and 2 columns"),
-        ({"A": 3 * np.eye(3) - np.ones((3, 3))}, "presses against no bound"),
-        ({"points": np.zeros((3, 4))}, "points: expected finite coordinates of the shape"),
-        ({"points": np.zeros(3), "method": "successive"}, "points: expected finite coordinates of the shape"),
-        ({"A": scipy.sparse.csr_matrix(np.diag([2.0, 2.0, 0.0])), "fixed": [2]}, "A: no diagonal entry .* at 1 row"),
-        ({"method": "newton"}, "method = 'newton'"),
-        ({"eps": -1.0}, "eps = -1"),
-    ],
-)
+@pytest.mark.parametrize(("given", "words"), [
+    ({"lower": 1.0, "upper": 0.0}, "lower is above upper at 3 rows"),
+    ({"lower": np.inf, "upper": np.inf}, "lower is inf at 3 rows"),
+    ({"upper": -1e20}, "upper is -inf at 3 rows"),
+    ({"weights": [1.0, 0.0, 1.0]}, "weights: must be positive at 1 row"),
+    ({"f": [1.0, np.nan, 1.0]}, "f: holds values that are not finite"),
+    ({"f": np.ma.masked_equal([1.0, 2.0, 1.0], 2.0)}, "f: holds values that are not finite"),
+    ({"f": [1.0, 2.0]}, "f: expected a number, or an array of 3 numbers"),
+    ({"fixed": [3], "given": 2.0}, "fixed: expected 3 flags, or numbers of owned rows from 0 to 2"),
+    ({"fixed": [0], "given": 2.0, "upper": 1.0}, "given values are not between the bounds at 1 row"),
+    ({"A": -np.eye(3)}, "A: must be positive definite, but the diagonal is not positive at 3 rows"),
+    ({"A": np.ones((3, 2))}, "A: expected a square matrix, it has 3 rows and 2 columns"),
+    ({"A": 3 * np.eye(3) - np.ones((3, 3))}, "presses against no bound"),
+    ({"points": np.zeros((3, 4))}, "points: expected finite coordinates of the shape"),
+    ({"points": np.zeros(3), "method": "successive"}, "points: expected finite coordinates of the shape"),
+    ({"A": scipy.sparse.csr_matrix(np.diag([2.0, 2.0, 0.0])), "fixed": [2]}, "A: no diagonal entry .* at 1 row"),
+    ({"method": "newton"}, "method = 'newton'"),
+    ({"eps": -1.0}, "eps = -1"),
+])  # fmt: skip
 def test_wrong_arguments(given, words):
     arguments = {"A": 2 * np.eye(3), "f": 1.0, **given}
     with pytest.raises(InputError, match=words):
@@ -247,16 +239,15 @@ def test_a_diagonal_that_has_collapsed_is_seen_on_all_ranks(bad):
 
 
 @pytest.mark.serial
-def test_without_dolfinx(folder):
+def test_without_dolfinx():
     """petsc4py, mpi4py and NumPy are enough."""
-    done = subprocess.run([sys.executable, "-c", WITHOUT_DOLFINX], env=CLEAN, capture_output=True, text=True)
+    done = run_python(WITHOUT_DOLFINX)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(("support", "so"), [(1.0, True), (1e-10, True), (1e-14, False)])
 def test_the_data_determine_u_where_its_round_off_is_small_against_their_forces(support, so):
-    """A chain of 20 springs under a load of 1 at each node, held at its end by a spring that is so soft that u is
-    20/support: round-off of machine epsilon times 40 u is above 1 % of the load from a support of 9e-13 on."""
+    """A chain of springs on a soft one: epsilon times 2 u, u = 20/support, is above 1 % of the load below 9e-13."""
     n = 21
     A = np.diag(np.r_[1.0, np.full(n - 2, 2.0), 1.0]) - np.eye(n, k=1) - np.eye(n, k=-1)
     A[:2, :2] += (support - 1) * np.array([[1, -1], [-1, 1]])
@@ -271,8 +262,7 @@ def test_the_data_determine_u_where_its_round_off_is_small_against_their_forces(
 
 
 def test_a_constant_in_u_takes_no_digit_from_the_energy():
-    """A chain of springs with one node on a support, and u = 1e6 plus a wave of size 1: the energy is that of the
-    differences, and of the support."""
+    """A chain of springs and u = 1e6 plus a wave of size 1: the energy is that of the differences and the support."""
     n, c = 64, 1e6
     wave, springs, (first, last) = np.sin(np.arange(n)), np.random.default_rng(1).uniform(0.1, 10, n - 1), owned(n)
     ends = np.zeros((n - 1, n))

@@ -22,8 +22,8 @@ from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.mesh import meshing
 from fenicsx_obstacle.parallel import replaced, write_text
 from fenicsx_obstacle.show import render
-from tests.conftest import CLEAN, DEMOS, slow_except
-from tests.helpers import LAUNCHER, run
+from tests.conftest import CLEAN, slow_except
+from tests.helpers import LAUNCHER, run, run_python
 from tests.processes import launch
 from tests.test_saved import ELSEWHERE, edited, moved
 
@@ -82,20 +82,17 @@ def test_control_characters_are_escaped(tmp_path):
     """In the titles, names and messages of each command, and in errors in Python."""
     text = CONTROL
     quoted = json.dumps(text)
-    scene = f"""
-title = {quoted}
-mesh = {{shape = "rectangle", cells = 4}}
-effects = {{tension = 1, load = -1}}
-obstacle = {{lower = -0.05}}
-report = {{force = "integral(p)"}}
-"""
-    (tmp_path / "right.toml").write_text(scene + "boundary = [{value = 0}]\n")
-    (tmp_path / "wrong.toml").write_text(scene + f"boundary = [{{value = 0, on = {quoted}}}]\n")
-    (tmp_path / "key.toml").write_text(scene + f"[effects.{quoted}]\n")
-    name = tmp_path / f"x{text}.toml"
-    name.write_text(scene + "boundary = [{value = 0}]\n")
+    right = f"title = {quoted}\n" + SCENE.replace('file = "a.geo"', 'shape = "rectangle", cells = 4')
+    wrong = right.replace("value = 0", f"value = 0, on = {quoted}")
+    for name, scene in (
+        ("right", right),
+        ("wrong", wrong),
+        ("key", f"{right}[effects.{quoted}]\n"),
+        (f"x{text}", right),
+    ):
+        (tmp_path / f"{name}.toml").write_text(scene)
     for command in (["solve", "right.toml"], ["solve", "wrong.toml"], ["solve", "key.toml"], ["explain", "right.toml"],
-                    ["solve", name.name, "--log", "INFO"], ["solve", f"none{text}.toml"]):  # fmt: skip
+                    ["solve", f"x{text}.toml", "--log", "INFO"], ["solve", f"none{text}.toml"]):  # fmt: skip
         done = run(*command, cwd=tmp_path)
         said = done.stdout + done.stderr
         assert said and not any(one in said for one in ("\x1b", "\x07", "\r", "\x9b", "\u202e")), said
@@ -132,15 +129,6 @@ def _umask():
     found = os.umask(0)
     os.umask(found)
     return found
-
-
-def test_no_pickles():
-    """NumPy reads none; nothing else does."""
-    for file in (DEMOS.parent / "fenicsx_obstacle").rglob("*.py"):
-        text = file.read_text(encoding="utf-8")
-        loads = text.count("np.load(")
-        assert loads <= text.count("allow_pickle=False"), file
-        assert "pickle.load(" not in text, file
 
 
 def _xdmf(folder, quadrilaterals):
@@ -265,9 +253,7 @@ def test_out_of_memory_blames_no_options(tmp_path):
     limited += "import fenicsx_obstacle.mesh.memory as m; m.check_memory = lambda *a: None\n"
     limited += "import fenicsx_obstacle.scenes.meshes as m; m.check_memory = lambda *a: None\n"
     limited += "runpy.run_module('fenicsx_obstacle', run_name='__main__', alter_sys=True)\n"
-    done = subprocess.run(
-        launch(1, "-c", limited), cwd=tmp_path, env=CLEAN, capture_output=True, text=True, timeout=100, check=False
-    )
+    done = run_python(limited, cwd=tmp_path, timeout=100)
     assert done.returncode == 2, done.stderr
     assert done.stderr.strip() == OUT_OF_MEMORY
 

@@ -17,8 +17,7 @@ DISK = 0.5777150035509267  # contact radius of disk_flat
 
 @pytest.mark.slow
 def test_contact_area_of_a_string():
-    """Without a penalty the error of the contact area is below h^2 wherever contact ends between nodes; a count
-    of nodes is off by up to h."""
+    """Without a penalty the error of the contact area is below h^2; a count of nodes is off by up to h."""
     scene = catalogue.read("string_parabola").change({"report": {"counted": "integral(contact)"}})
     area, off = 1 - 2 * STRING, []
     for cells in (20, 26, 44, 90):
@@ -39,8 +38,7 @@ def test_contact_area_has_order_1_5():
 
 
 def test_contact_area_reaches_boundary_values_on_the_obstacle():
-    """Where u lies on the obstacle up to the boundary, nodes at which u is given belong to the contact: area 1, but
-    for the two corners whose only cell has no node inside."""
+    """Nodes where u is given belong to the contact: area 1, but for two corners whose only cell has no node inside."""
     answer = solve(membrane(load=-1, lower=0, mesh={"shape": "rectangle", "cells": 8}))
     assert np.isclose(answer.area, 1 - 2 / (6 * 8**2), rtol=1e-12)
 
@@ -48,8 +46,7 @@ def test_contact_area_reaches_boundary_values_on_the_obstacle():
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("order", [0.5, 1, 1.5, 2, 2.2, 2.8, 3, 4])
 def test_richardson(order, degree):
-    """Values q + c h^k have order k and an error of `SAFETY` times the true one; of order 2 at most is believed, and
-    one above twice the degree is none."""
+    """Values q + c h^k have order k, at most 2 degree, and `SAFETY` times the true error; beyond order 2 more."""
     values = [5 + 0.3 * h**order for h in (1 / 8, 1 / 16, 1 / 32)]
     found, true = Uncertainty.of(values, degree), 0.3 / 32**order
     assert found.verdict == "settled"
@@ -71,8 +68,7 @@ def test_what_is_not_settled():
 
 
 def test_contact_areas_of_erratic_order():
-    """Three meshes on which the area seems to have order 2.5: its true order is 1, and its error within 3 times the
-    stated one. They are those of ball with eps = h^2."""
+    """Three meshes of ball on which the area seems to have order 2.5 (it is 1): within 3 times the stated error."""
     true = math.pi * 0.6979651482233736**2
     values = [true + off for off in (0.0303773, 0.0107887, 0.0073796)]
     by_record = compared([{"contact": {"area": value}} for value in values])["contact"]["area"]
@@ -155,8 +151,7 @@ def test_penetration_tends_to_0():
                  ("disk_flat", {"cells": 32, "method": "vi"})], ("ball", {"cells": 64})),
 )  # fmt: skip
 def test_true_errors(name, change):
-    """True errors lie within 3 times the stated ones, on geometric levels, on meshes of their own, and with P2; u is
-    what it is without."""
+    """Within 3 times the stated ones, on levels, on meshes of their own, and with P2; u is what it is without."""
     force = {"ball": 2 * math.pi * 0.680259411891719, "disk_flat": 4 * math.pi * DISK**2,
              "string_parabola": 8 * (1 - 2 * STRING)}[name]  # fmt: skip
     area = {"ball": math.pi * 0.697965148223374**2}.get(name, force / (4 if name == "disk_flat" else 8))
@@ -187,8 +182,7 @@ def test_peaks_are_unbounded():
 @pytest.mark.slow
 def test_quadrilaterals_and_rows():
     """Q1 has no geometric levels: two coarser meshes are made; rows of a study have the uncertainties."""
-    scene = Scene(mesh={"shape": "rectangle", "cell": "quadrilateral"}, tension=1, load=8, upper=0.2,
-                  boundary=[{"value": 0}])  # fmt: skip
+    scene = Scene(mesh={"shape": "rectangle", "cell": "quadrilateral"}, tension=1, load=8, upper=0.2)
     rows = study(scene, {"effects.load": [8, 10]}, cells=16, uncertainty=True)
     assert all(row["uncertainty.energy.order"] > 1 for row in rows)
     assert all(row["uncertainty.contact.upper.force.values"][-1] == row["contact.upper.force"] for row in rows)
@@ -198,9 +192,8 @@ def test_quadrilaterals_and_rows():
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("bdf2", 2)])
 def test_in_time(scheme, order):
     """With [time] the steps are scaled as h: a decay exp(-pi^2 t) sin(pi x) has the order of its scheme at the end."""
-    scene = Scene(mesh={"shape": "interval", "cells": 32}, tension=1, rate=1, boundary=[{"value": 0}],
-                  time={"end": 0.1, "steps": 32, "start": "sin(pi*x)", "scheme": scheme},
-                  report={"size": "integral(u)"})  # fmt: skip
+    time = {"end": 0.1, "steps": 32, "start": "sin(pi*x)", "scheme": scheme}
+    scene = membrane(mesh={"shape": "interval", "cells": 32}, rate=1, time=time, report={"size": "integral(u)"})
     found = solve(scene, uncertainty=True).record["uncertainty"]["report"]["size"]
     true = abs(found["values"][-1] - 2 / math.pi * math.exp(-(math.pi**2) / 10))
     assert true < found["error"] < 3 * true and abs(found["order"] - order) < 0.2
@@ -209,7 +202,7 @@ def test_in_time(scheme, order):
 @pytest.mark.slow
 def test_equilibria_in_time():
     """A sequence of equilibria has no error in time: at its end it has the uncertainty of the scene at rest."""
-    scene, moving = (membrane(load=load, lower=-0.1, mesh={"shape": "rectangle", "cells": 16}, **time)
+    scene, moving = (membrane(load=load, lower=-0.1, **time)
                      for load, time in ((-8, {}), ("-8*t", {"time": {"end": 1, "steps": 1}})))  # fmt: skip
     found = [solve(one, uncertainty=True).record["uncertainty"]["contact"]["lower"]["force"] for one in (scene, moving)]
     assert found[0]["values"] == pytest.approx(found[1]["values"], rel=1e-6)

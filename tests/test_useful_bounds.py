@@ -40,14 +40,11 @@ def compared(cells: int, element: str = "P1", **given: Any) -> tuple[Bound, floa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("element", ["P1", "P2"])
-@pytest.mark.parametrize(
-    ("given", "most"),
-    [
-        ({"load": 1, "lower": -1e20}, 2),
-        ({"load": -1, "lower": f"where({INSIDE}, -0.02, -1e20)"}, 40),
-        ({"load": 1, "upper": f"where({INSIDE}, 0.02, 1e20)", "lower": -1e20}, 40),
-    ],
-)
+@pytest.mark.parametrize(("given", "most"), [
+    ({"load": 1, "lower": -1e20}, 2),
+    ({"load": -1, "lower": f"where({INSIDE}, -0.02, -1e20)"}, 40),
+    ({"load": 1, "upper": f"where({INSIDE}, 0.02, 1e20)", "lower": -1e20}, 40),
+])  # fmt: skip
 def test_obstacles_out_of_reach(given, most, element):
     """They are cut off where u cannot be: the bound does not know how far below they are."""
     bound, error = compared(16, element, **given)
@@ -172,10 +169,8 @@ def test_a_load_that_no_sample_sees():
 
 def test_a_load_of_two_signs_in_one_cell():
     """Samples see the positive part of a load alone; a bound makes the solver use all of it, and u is negative."""
-    scene = Scene(
-        mesh={"shape": "interval", "cells": 2}, tension=1, load="where(x < 0.781, 1.45, -1.94)", upper=0,
-        boundary=[{"on": "left", "value": 0}],
-    )  # fmt: skip
+    scene = Scene(mesh={"shape": "interval", "cells": 2}, tension=1, load="where(x < 0.781, 1.45, -1.94)", upper=0,
+                  boundary=[{"on": "left", "value": 0}])  # fmt: skip
     for method in ("penalty", "vi"):
         answer = solve(scene, method=method, bound=True)
         # u is 0 at 1/2, and its value at 1 the integral of (x - 1/2) f(x) from there
