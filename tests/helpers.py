@@ -141,7 +141,7 @@ class Membrane:
 BUBBLES = ("P1 and bubbles", 1, 2)
 
 
-def mixed_space(mesh, *elements):
+def mixed_space(mesh: dmesh.Mesh, *elements: Any) -> fem.FunctionSpace:
     """Of elements as (family, degree, components or None), the last one P1."""
     if releases.OLD:
         parts = [ufl.FiniteElement("Lagrange", mesh.ufl_cell(), degree) for _, degree, _ in elements]

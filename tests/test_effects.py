@@ -333,52 +333,49 @@ u = "x*y"
 """
 
 
+ENTRIES = {"hardening": ("20", "20*(x*y)^3"), "bedding": ('{stiffness = 20, level = "x*y"}', "0")}
+
+
+def example(key):
+    """An effect of docs/effects.md."""
+    return (DEMOS.parent / "docs" / "effects.md").read_text().partition(f"# {key}.py\n")[2].partition("```")[0]
+
+
 @pytest.mark.serial
 @pytest.mark.slow
 def test_an_effect_from_outside(tmp_path):
-    """The example of docs/effects.md, under 40 lines, as a file beside the scene: solved by the command line."""
-    text = (DEMOS.parent / "docs" / "effects.md").read_text().partition("```python\n")[2].partition("```")[0]
-    assert "class Hardening" in text and len(text.splitlines()) < 40
-    (tmp_path / "hardening.py").write_text(text)
+    """A file beside the scene is solved by the command line; what is no effect is told."""
+    (tmp_path / "hardening.py").write_text(example("hardening"))
     (tmp_path / "mine.toml").write_text(PLUGIN)
-    with pytest.raises(InputError, match="unknown effect 'hardening'"):
-        Scene.read(tmp_path / "mine.toml")
     done = run("solve", "mine.toml", "--plugin", "hardening.py", ranks=2, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "mine" / "answer.json").read_text())
     assert record["errors"]["l2"] < 2e-4 and record["contact"]["area"] == 0
-    try:
-        load_plugin(tmp_path / "hardening.py")
-        explained = " ".join(explain(Scene.read(tmp_path / "mine.toml")).split())
-    finally:
-        del _register["hardening"]
-    assert "-div(tension grad u) + hardening u^3 = load + p" in explained
-    assert "not linear in u, because of hardening" in explained
-    for name, program, message in (
-        ("none.py", None, "no such Python file"),
-        ("wrong.py", "1/0", "ZeroDivisionError"),
-        ("taken.py", text.replace('"hardening"', '"load"'), "key = 'load' is taken"),
-    ):
-        if program is not None:
-            (tmp_path / name).write_text(program)
+    (tmp_path / "wrong.py").write_text("1/0")
+    (tmp_path / "taken.py").write_text(example("hardening").replace('"hardening"', '"load"'))
+    for name, message in (("none", "no such Python file"), ("wrong", "ZeroDivisionError"), ("taken", "is taken")):
         with pytest.raises(InputError, match=message):
-            load_plugin(tmp_path / name)
-
-
-ENTRIES = {"hardening": ("20", "20*(x*y)^3"), "bedding": ('{stiffness = 20, level = "x*y"}', "0")}
+            load_plugin(tmp_path / f"{name}.py")
 
 
 @pytest.mark.parametrize("key", ENTRIES)
 def test_an_effect_is_one_file(key, tmp_path):
-    """Each example of docs/effects.md is a file on the page, and its test: u = x y, which is harmonic."""
-    page = (DEMOS.parent / "docs" / "effects.md").read_text()
-    (tmp_path / "own.py").write_text(page.partition(f"```python\n# {key}.py\n")[2].partition("```")[0])
-    entry, load = ENTRIES[key]
+    """Each example of docs/effects.md is a file of fewer than 40 lines; u = x y is harmonic."""
+    (entry, load), text = ENTRIES[key], example(key)
+    assert "class " in text and len(text.splitlines()) < 40
+    (tmp_path / "own.py").write_text(text)
     scene = PLUGIN.replace("hardening = 20", f"{key} = {entry}").replace("20*(x*y)^3", load)
     (tmp_path / "own.toml").write_text(scene)
+    with pytest.raises(InputError, match=f"unknown effect '{key}'"):
+        Scene.read(tmp_path / "own.toml")
     load_plugin(tmp_path / "own.py")
     try:
-        assert solve(Scene.read(tmp_path / "own.toml")).record["errors"]["l2"] < 2e-4
+        found = Scene.read(tmp_path / "own.toml")
+        assert solve(found).record["errors"]["l2"] < 2e-4
+        if key == "hardening":
+            explained = " ".join(explain(found).split())
+            assert "-div(tension grad u) + hardening u^3 = load + p" in explained
+            assert "not linear in u, because of hardening" in explained
     finally:
         del _register[key]
 
