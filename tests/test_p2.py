@@ -1,18 +1,19 @@
-"""P2 with contact at the middles of edges: solved by multigrid, bounded, refined where the error is."""
+"""P2, with contact at the middles of edges and Simpson's rule on intervals: solved by multigrid, bounded, refined."""
 
 from contextlib import closing
 
 import numpy as np
 import pytest
+from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, Scene, polynomials, solve
+from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.adapt import Refinement
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation import rt1
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM, DEMOS, membrane, slow_except
+from tests.helpers import Membrane
 
 PLANE = ("ball", "biactive", "biactive_power", "cone", "disk_flat", "disk_mu_jump", "halfplane", "nsv", "ring_wedge",
          "smooth_square", "torsion_disk", "two_obstacle_square")  # fmt: skip
@@ -35,30 +36,10 @@ def test_steps_do_not_grow(method):
             assert nested.record["errors"][key] == pytest.approx(cold.record["errors"][key], rel=1e-7)
 
 
-def test_moments_determine_a_flux():
-    """The eight functions of RT1 are dual to their moments, and a linear field is found again from its own."""
-    inside = polynomials.exponents(3, 4) / 4
-    x = inside[:, 1:]
-    # the field (1 + 2x, y) on the reference triangle: fluxes and first moments of its edges, and its integral
-    fields = rt1._monomials(x)
-    field = fields[0] + 2 * fields[2] + fields[5]
-    s, w = np.polynomial.legendre.leggauss(3)
-    s, w = (s + 1) / 2, w / 2
-    corners, found = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), []
-    for i in range(3):
-        start, end = corners[(i + 1) % 3], corners[(i + 2) % 3]
-        at = start + s[:, None] * (end - start)
-        flux = (1 + 2 * at[:, 0]) * (end - start)[1] - at[:, 1] * (end - start)[0]
-        found += [flux @ w, flux @ (w * (2 * s - 1))]
-    moments = np.array([*found, 1 / 2 + 1 / 3, 1 / 6])
-    assert np.allclose(np.einsum("d,dpx->px", moments, rt1.reference_fields(inside)), field)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("perturb", [0.0, 0.3])
 def test_the_flux_is_in_balance(perturb):
-    """div sigma = -(Pi_1 f + lambda - nu + rho) in each cell, the normal part and its moment are continuous, and the
-    patches of free vertices close."""
+    """With f, lambda, nu and rho in each cell; the normal part and its moment are continuous, and patches close."""
     for name in ("ball", "two_obstacle_square"):
         with closing(SolverContext(quadratic(name, **{"mesh.perturb": perturb}))) as context:
             context.answer(bound=True)
@@ -98,8 +79,7 @@ def test_no_known_error_is_above_its_bound(name):
 @pytest.mark.variant
 @pytest.mark.slow
 def test_adaptive_order():
-    """Refined where the bound says so, the energy error of the ball falls faster than N^(-1.7/2), with its bound; on
-    uniform meshes it is N^(-3/4), since u is in H^(5/2-)."""
+    """The energy error of the ball falls faster than N^(-1.7/2), with its bound; on uniform meshes it is N^(-3/4)."""
     scene = quadratic("ball")
     rows = []
     with closing(Refinement(scene, COMM).meshes(unknowns=8000)) as meshes:
@@ -132,8 +112,7 @@ def test_estimates_from_samples_are_near_the_bound(name):
 @pytest.mark.variant
 @pytest.mark.slow
 def test_the_last_mesh_has_a_bound():
-    """On the meshes before it the error is estimated, unless there is a budget; the ball to 1 % with a tenth of the
-    unknowns that P1 needs."""
+    """Without a budget the meshes before it have estimates; 1 % for the ball takes a tenth of the unknowns of P1."""
     answer = solve(quadratic("ball"), tol=0.01)
     record = answer.record
     assert record["adaptive"]["reached"] and record["errors"]["energy"] <= answer.bound.total and answer.dofs < 8000
@@ -155,9 +134,8 @@ def test_free_sides_and_other_effects():
     """Nothing leaves through free sides; effects besides tension and load are refused, and surfaces in space."""
     exact = "sin(pi*x/2)*sin(pi*y)"
     free = membrane(
-        load=f"1.25*pi^2*{exact}", lower=-10, exact=exact,
-        boundary=[{"on": ["left", "top", "bottom"], "value": 0}],
-    ).change({"solve.element": "P2"})  # fmt: skip
+        load=f"1.25*pi^2*{exact}", lower=-10, exact=exact, boundary=[{"on": ["left", "top", "bottom"], "value": 0}]
+    ).change({"solve.element": "P2"})
     answer = solve(free, bound=True)
     error = answer.record["errors"]["energy"]
     assert answer.bound.words == "certified" and error <= answer.bound.total <= 1.5 * error
@@ -166,3 +144,115 @@ def test_free_sides_and_other_effects():
     bearing = Scene.read(DEMOS / "bearing.toml").change({"solve.element": "P2", "report": {}})
     with pytest.raises(InputError, match="not for P2 on triangle cells in 3D"):
         solve(bearing, bound=True)
+
+
+KINKED = ("mu_jump", "point load")  # `errors` need vertices where the slope of u jumps
+STRINGS = ("parabola", "two_obstacles", "mu_jump", "torsion", "wedge")
+END, HELD = "where(x < a, c - f*(a - x)^2/2, c)", {"on": "right", "value": "c"}
+FLAT = {"define": {"f": 8, "c": 0.3, "k": 5}, "tension": 1, "load": "f", "upper": "c"}
+PIECES = {"a": 0.37, "K": 4, "P": 3, "g": "sin(3*x)", "u1": "3*cos(3*x) - where(x < a, 2*K*(a - x), 0)",
+          "u2": "-9*sin(3*x) + where(x < a, 2*K, 0)", "push": "where(x < a, 0, P)",
+          "w": "g + where(x < a, K*(a - x)^2, 0)"}  # fmt: skip
+
+
+def string(more, boundary, exact, **data):
+    known = {**data.pop("define", {}), **more}
+    return Scene(mesh={"shape": "interval", "x": [0, 1], "cells": 16}, define=known, boundary=boundary,
+                 exact={"u": exact}, **data)  # fmt: skip
+
+
+def below(**data):
+    """A string on a smooth obstacle; it leaves it at a, where the load jumps."""
+    define = {**PIECES, **data.pop("define", {})}
+    return string({}, [{"value": "w"}], "w", define=define, lower="g", **data)
+
+
+CLOSED = {
+    "spring": lambda: string({"a": "(sqrt(f^2 + 2*k^2*f*c) - f)/(k*f)"}, [{"on": "left", "spring": "k"}, HELD],
+                             END, **FLAT),
+    "flux": lambda: string({"a": 0.21}, [{"on": "left", "flux": "-f*a"}, HELD], END, **FLAT),
+    "foundation": lambda: string({"s": "sqrt(k)", "m": "f/k/(f/k - c)", "a": "log(m + sqrt(m^2 - 1))/s"},
+                                 [{"on": "left", "value": 0}, HELD],
+                                 "where(x < a, f/k - (f/k - c)*cosh(s*(a - x)), c)", foundation="k", **FLAT),
+    "smooth obstacle": lambda: below(tension=1, load="-u2 - push"),
+    "tension": lambda: below(tension="1 + x", load="-(1 + x)*u2 - u1 - push"),
+    "tension alone": lambda: string({"C": "1/ln(2)"}, [{"value": 0}], "C*ln(1 + x) - x", tension="1 + x", load=1,
+                                    lower=-1),
+    "foundation and tension": lambda: below(tension="exp(x)", foundation="2 + x",
+                                            load="-exp(x)*(u2 + u1) + (2 + x)*w - push"),
+    "point load": lambda: string({}, [{"value": "w"}], "w",
+                                 define={"a": 0.37, "w": "where(x < a, 4*(a - x)^2, 0) + max(0.1 - x, 0)"}, tension=1,
+                                 load="where(x < a, -8, -3)", lower=0, point_load=[{"at": [0.1], "force": -1}]),
+}  # fmt: skip
+
+
+def closed(name, cells):
+    scene = CLOSED[name]() if name in CLOSED else catalogue.scene(f"string_{name}")
+    return scene.change({"solve.element": "P2", "mesh.cells": cells})
+
+
+@pytest.mark.parametrize("name", [*CLOSED, *STRINGS])
+def test_bounds_of_closed_forms(name):
+    """Data change inside cells: every bound is certified and above the true error, at two eps and without a penalty."""
+    for cells in (20, 40) if name in KINKED else (16, 37):
+        for options in ({}, {"eps": 1e-3}, {"method": "vi"}):
+            answer = solve(closed(name, cells), bound=True, **options)
+            assert answer.bound.guaranteed, answer.bound.words
+            assert answer.bound.total >= answer.record["errors"]["energy"] * (1 - 1e-9) - 1e-12
+
+
+@pytest.mark.parametrize("name", ["smooth obstacle", "foundation", "spring"])
+def test_orders_with_contact(name):
+    """A cell that is cut by the free boundary has an error of h^(3/2), and the bound no lower order."""
+    worst = []
+    for times in (1, 8):  # the place of the free boundary in its cell matters
+        found = [solve(closed(name, times * cells), method="vi", bound=True) for cells in (10, 11, 13)]
+        worst.append((max(one.record["errors"]["energy"] for one in found), max(one.bound.total for one in found)))
+    for coarse, fine in zip(*worst, strict=True):
+        assert fine < 1.5 / 8**1.5 * coarse
+
+
+def test_orders_without_contact():
+    """Energy 2, L2 3; the bound is at most a third larger than the error."""
+    scene = Scene(mesh={"shape": "interval", "cells": 8}, tension=1, load="pi^2*sin(pi*x)", lower=-1,
+                  exact={"u": "sin(pi*x)"}).change({"solve.element": "P2"})  # fmt: skip
+    coarse, fine = (solve(scene.change({"mesh.cells": cells}), bound=True) for cells in (8, 32))
+    errors, finer = coarse.record["errors"], fine.record["errors"]
+    assert errors["energy"] / finer["energy"] == pytest.approx(16, rel=0.05)
+    assert errors["l2"] / finer["l2"] == pytest.approx(64, rel=0.05)
+    assert finer["energy"] <= fine.bound.total <= 4 / 3 * finer["energy"]
+
+
+@pytest.mark.parametrize("name", STRINGS)
+def test_tolerance_on_intervals(name):
+    """300 unknowns are enough for a certified error of 1e-6."""
+    method = "vi" if name == "wedge" else "penalty"  # for the wedge eps would fall below its limit of round-off
+    answer = solve(catalogue.scene(f"string_{name}"), element="P2", tol=1e-6, method=method)
+    assert answer.bound.guaranteed and answer.bound.relative <= 1e-6 and answer.record["dofs"] <= 300
+    assert answer.record["errors"]["energy"] <= answer.bound.total
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mu_jump", "torsion"])
+def test_a_tenth_of_the_unknowns(name):
+    """P1 needs ten times as many for 1e-4."""
+    scene = catalogue.scene(f"string_{name}")
+    linear, quadratic = (solve(scene, element=element, tol=1e-4) for element in ("P1", "P2"))
+    assert quadratic.record["dofs"] <= linear.record["dofs"] / 10
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_steps_do_not_grow_on_intervals(method):
+    """Multigrid of P1 below P2, for scenes and for forms; the same values as from a cold start."""
+    for cells in (40, 640):
+        scene = catalogue.scene("string_two_obstacles").change({"solve.element": "P2", "mesh.cells": cells})
+        nested, cold = solve(scene, method=method), solve(scene, method=method, start="cold")
+        assert nested.record["newton_iterations"] <= 4
+        assert nested.record["errors"]["energy"] == pytest.approx(cold.record["errors"]["energy"], rel=1e-7)
+    own = Membrane(dmesh.create_unit_interval(COMM, 2000), 2)  # meshes of fewer unknowns have no coarse levels
+    solution = own.problem(upper=0.3).solve(method=method)
+    assert solution.record["element"] == "P2" and solution.record["newton_iterations"] <= 4
+    a = np.sqrt(0.3 / 4)
+    assert solution.at([0.1]) == pytest.approx(8 * (a * 0.1 - 0.005), abs=1e-6)
+    assert solution.force.upper == pytest.approx(8 * (1 - 2 * a), rel=1e-4)
+    assert solution.area == pytest.approx(1 - 2 * a, rel=1e-3)
