@@ -11,7 +11,7 @@ from dolfinx import fem
 from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, penalty, solve
+from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, compare, penalty, solve
 from fenicsx_obstacle.checkout import ROOT
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
@@ -429,6 +429,23 @@ def test_a_mistake_on_one_rank_is_an_error_on_all():
     bcs = [3] if COMM.rank == COMM.size - 1 else own.bc
     with pytest.raises(InputError, match=r"bcs\[0\] = 3: expected what dolfinx.fem.dirichletbc returns"):
         own.problem(bcs=bcs)
+
+
+def test_solutions_of_forms_are_compared(folder):
+    """Two meshes, one solution saved and read: u differs by the error of the coarser one."""
+    fine, coarse = (Membrane(cells=cells).problem().solve(eps=1e-8) for cells in (32, 16))
+    fine.save(folder)
+    found = compare(folder, coarse)
+    assert found["outside"] == 0 and 0 < found["u"]["max"] < 0.1 * 0.3
+    assert found["contact"]["jaccard"] > 0.5 and found["u"] == pytest.approx(compare(fine, coarse)["u"], rel=1e-12)
+
+
+def test_steps_are_told():
+    """The monitor sees the start as number 0 and every Newton step."""
+    told = []
+    found = Membrane().problem().solve(eps=1e-7, monitor=lambda number, step: told.append((number, step)))
+    assert [number for number, _ in told] == list(range(len(told))) and len(told) >= found.iterations + 1
+    assert told[-1][1].unbalanced <= 1e-10 * told[-1][1].forces
 
 
 def test_along_a_line():

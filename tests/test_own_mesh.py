@@ -176,6 +176,15 @@ def exact(x, y):
     return np.sin(np.pi * x) * np.sin(np.pi * y)
 
 
+def test_time_with_callables():
+    """f(x, t) and the formula in t: the same course."""
+    own = Own(8)
+    time = {"end": 1, "steps": 4}
+    one = solve(own.scene(load=lambda x, t: -8 * t + 0 * x[0], time=time))
+    other = solve(own.scene(load="-8*t", time=time))
+    assert np.allclose(one.time_history.column("force_lower"), other.time_history.column("force_lower"), rtol=1e-12)
+
+
 def test_exact_solution_as_ufl():
     """Errors against a UFL expression are those against the formula."""
     own, pi = Own(), np.pi
