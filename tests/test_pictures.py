@@ -1,5 +1,6 @@
 """Pictures, of Newton's method too: what is drawn, by whom, and that nobody's crash takes a study along."""
 
+import os
 import sys
 from dataclasses import replace
 from itertools import pairwise
@@ -312,6 +313,19 @@ def test_trouble_with_pyvista_is_named(why, disk, folder, monkeypatch):
     assert said.endswith(f"drawn by matplotlib, without views in space: {why}")
     picture = pixels(folder / "disk.png")
     assert np.count_nonzero((picture[..., 0] > 0.3) & (picture[..., 1] < 0.2)) > 5000  # contact in dark red
+
+
+@pytest.mark.slow
+def test_pyvista_has_a_display_where_xvfb_is(disk, folder, monkeypatch):
+    """Of a stand-in for xvfb-run, the first on PATH."""
+    stand_in = folder / "xvfb-run"
+    stand_in.write_text('#!/bin/sh\nshift\nDISPLAY=:77 exec "$@"\n')
+    stand_in.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setattr(render, "find_spec", lambda name: True)
+    monkeypatch.setattr(render, "_WORKER", [sys.executable, "-c", "import os, sys; sys.exit(os.environ['DISPLAY'])"])
+    assert "pyvista failed (:77)" in solve(disk, cells=8).plot(folder / "disk.png").said
 
 
 @pytest.mark.slow
