@@ -36,9 +36,9 @@ def products(corners: np.ndarray, rule: Rule, basis: np.ndarray) -> tuple[np.nda
         rule: I on the reference element.
         basis: Values at the corners, shape (corners, basis).
     """
-    exact = basix.make_quadrature(_cell(corners), 5)
-    lumped, true = _gram(corners, rule.points, rule.weights, basis), _gram(corners, *exact, basis)
-    area = _gram(corners, *exact, np.ones((len(corners), 1)))[0, 0]
+    points, weights = basix.make_quadrature(_cell(corners), 5)
+    lumped, true = _gram(corners, rule.points, rule.weights, basis), _gram(corners, points, weights, basis)
+    area = _gram(corners, points, weights, np.ones((len(corners), 1)))[0, 0]
     return lumped / area, true / area
 
 

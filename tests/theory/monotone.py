@@ -50,7 +50,7 @@ def _beyond(u: np.ndarray) -> np.ndarray:
 
 def _panel(title: str, functions: dict[str, np.ndarray]) -> Panel:
     """Drawn at every tenth node: those where the slopes change are among them."""
-    curves = [Curve(name, LINE.nodes[::10], np.pad(values, 1)[::10]) for name, values in functions.items()]
+    curves = [Curve(name, list(LINE.nodes[::10]), list(np.pad(values, 1)[::10])) for name, values in functions.items()]
     return Panel(title, "x", "height, g = 0", curves, ("linear", "linear"))
 
 
