@@ -24,7 +24,7 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     Attributes:
         name: Of the case.
-        family: Of cases with the same difficulty, a table of their own.
+        family: Of cases with the same difficulty, a table of the list.
         hard: What is hard about it, in a few words.
         scene: Name of the scene, in this folder or the catalogue; by default that of the case.
         set: Changes of its keys, as --set makes them.
@@ -69,8 +69,9 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 @lru_cache(maxsize=1)
 def cases() -> tuple[Case, ...]:
     """All of them, in the order of the list."""
-    raw = tomllib.loads((FOLDER / LIST).read_text(encoding="utf-8"))
-    return msgspec.convert(raw["case"], tuple[Case, ...])
+    families = tomllib.loads((FOLDER / LIST).read_text(encoding="utf-8"))
+    rows = [{"name": name, "family": family, **row} for family, rows in families.items() for name, row in rows.items()]
+    return msgspec.convert(rows, tuple[Case, ...])
 
 
 def case(name: str) -> Case:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from tests.cli.broken.case import SCENE, Broken
 
@@ -41,11 +41,12 @@ NUMBERS = {
     "overflow": '"10^400"',
     "9^9^9^9": '"9^9^9^9"',
 }
-NO_OBSTACLE = {
+FITTING = {
     "[obstacle] lower": {"minus infinity"},
     "[obstacle] upper": {"infinity", "division by zero", "overflow", "9^9^9^9"},
+    "[report] q": set(NUMBERS),
 }
-"""What is not wrong: an obstacle of 1e20 or beyond means that there is none."""
+"""What is not wrong: an obstacle of 1e20 or beyond means that there is none, and a figure need not be finite."""
 FORMULAS = {
     "an empty formula": '""',
     "a complex number": '"1j"',
@@ -75,6 +76,30 @@ WORDS = {"a number for a text": "7", "a list of numbers for a text": "[1, 2]"}
 COUNTS = {"minus one": "-1", "a fraction": "1.5", "a text": '"many"', "infinite": "inf", "not a number": "nan",
           "2^70": str(2**70), "1e9": "1000000000"}  # fmt: skip
 CHOICES = {"an unknown word": '"nonsense"', "an empty text": '""', "a number": "3"}
+ENDS = {
+    "without length": "[1, 1]", "one number": "[1]", "three numbers": "[0, 1, 2]", "no list": "1",
+    "not a number": "[0, nan]", "infinite": "[-inf, 1]", "a place": '[0, "x"]', "too long": "[0, 1e200]",
+    "too short": "[1, 1.000000000000001]",
+}  # fmt: skip
+KINDS: tuple[tuple[Sequence[str], Mapping[str, str]], ...] = (
+    (("[define] c", "[effects] tension", "[effects] load", "[obstacle] lower", "[obstacle] upper", "[[boundary]] value",
+      "[[boundary]] where", "[mesh] radius", "[exact] u", "[exact] pressure", "[report] q", "[solve] eps", "[time] end",
+      "[time] start", "[time] velocity"), {**FORMULAS, **NUMBERS}),
+    (("title", "u", "[mesh] file", "[exact] free", "[exact] regularity", "[time] name"), WORDS),
+    (("[mesh] cells", "[mesh] refine", "[time] steps", "[time] frames"), COUNTS),
+    (("[mesh] shape", "[mesh] cell", "[mesh] diagonal", "[solve] element", "[solve] method", "[solve] start",
+      "[[boundary]] on", "[time] scheme"), CHOICES),
+    (("[mesh] perturb",), {"negative": "-0.1", "one half": "0.5", "not a number": "nan"}),
+    (("[time] tolerance",), {"negative": "-0.1", "zero": "0", "not a number": "nan"}),
+    (("[mesh] x",), ENDS),
+)  # fmt: skip
+BESIDE: dict[str, dict[str, str | None]] = {
+    "[mesh] file": {"[mesh] shape": None},
+    "[mesh] radius": {"[mesh] shape": '"disk"', "[[boundary]] on": '"circle"'},
+    "[[boundary]] where": {"[[boundary]] on": None},
+    **{key: {"[exact] u": "0"} for key in ("[exact] pressure", "[exact] free", "[exact] regularity")},
+}
+"""What else such a key needs."""
 
 
 def scene_text(lines: Mapping[str, str | None]) -> str:
@@ -89,33 +114,11 @@ def scene_text(lines: Mapping[str, str | None]) -> str:
 
 def broken_lines() -> Iterator[Broken]:
     """Every line in every way."""
-    for key in ("[define] c", "[effects] tension", "[effects] load", "[obstacle] lower", "[obstacle] upper",
-                "[[boundary]] value", "[[boundary]] where", "[mesh] radius", "[exact] u", "[exact] pressure",
-                "[report] q", "[solve] eps", "[time] end", "[time] start", "[time] velocity"):  # fmt: skip
-        # a figure that is not finite is said to be so next to the others
-        for what, value in {**FORMULAS, **TYPES, **({} if key == "[report] q" else NUMBERS)}.items():
-            if what not in NO_OBSTACLE.get(key, ()):
-                yield _with(key, value, what)
-    for key in ("title", "u", "[mesh] file", "[exact] free", "[exact] regularity", "[time] name"):
-        for what, value in {**WORDS, **TYPES}.items():
-            yield _with(key, value, what)
-    for key in ("[mesh] cells", "[mesh] refine", "[time] steps", "[time] frames"):
-        for what, value in {**COUNTS, **TYPES}.items():
-            yield _with(key, value, what)
-    for key in ("[mesh] shape", "[mesh] cell", "[mesh] diagonal", "[solve] element", "[solve] method", "[solve] start",
-                "[[boundary]] on", "[time] scheme"):  # fmt: skip
-        for what, value in {**CHOICES, **TYPES}.items():
-            yield _with(key, value, what)
-    for what, value in {"negative": "-0.1", "one half": "0.5", "not a number": "nan", **TYPES}.items():
-        yield _with("[mesh] perturb", value, what)
-    for what, value in {"negative": "-0.1", "zero": "0", "not a number": "nan", **TYPES}.items():
-        yield _with("[time] tolerance", value, what)
-    for what, value in {
-        "without length": "[1, 1]", "one number": "[1]", "three numbers": "[0, 1, 2]",
-        "no list": "1", "not a number": "[0, nan]", "infinite": "[-inf, 1]", "a place": '[0, "x"]',
-        "too long": "[0, 1e200]", "too short": "[1, 1.000000000000001]", **TYPES,
-    }.items():  # fmt: skip
-        yield _with("[mesh] x", value, what)
+    for keys, values in KINDS:
+        for key in keys:
+            for what, value in {**values, **TYPES}.items():
+                if what not in FITTING.get(key, ()):
+                    yield _with(key, value, what)
     for key, ending in (("[obstacle] lower", "csv"), ("[effects] load", "npy")):
         yield _with(key, f'{{file = "a\\u0000.{ending}"}}', "a NUL in a name", "a\\x00")
     for table in ("define", "mesh", "effects", "obstacle", "boundary", "exact", "report", "solve", "time", "nonsense"):
@@ -127,18 +130,8 @@ def broken_lines() -> Iterator[Broken]:
 
 
 def _with(key: str, value: str, what: str, *words: str) -> Broken:
-    lines: dict[str, str | None] = {**LINES, **(MOVING if key.startswith("[time]") else {}), key: value}
-    if key == "[mesh] file":
-        lines["[mesh] shape"] = None
-    if key == "[mesh] radius":
-        lines["[mesh] shape"] = '"disk"'
-        lines["[[boundary]] on"] = '"circle"'
-    if key == "[[boundary]] where":
-        lines["[[boundary]] on"] = None
-    if key == "[exact] pressure":
-        lines = {**lines, "[exact] u": "0", key: value}
-    if key in ("[exact] free", "[exact] regularity"):
-        lines["[exact] u"] = "0"
+    moving = MOVING if key.startswith("[time]") else {}
+    lines = {**LINES, **moving, **BESIDE.get(key, {}), key: value}
     table, _, name = key.rpartition(" ")
     return Broken(f"{key}: {what}", [SCENE, table, name, *words], files=_file(scene_text(lines)))
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import sympy
-from hypothesis import assume
 from hypothesis import strategies as st
 from sympy import Expr
 
@@ -86,8 +85,6 @@ def anisotropic(draw: st.DrawFn) -> Anisotropic:
     angle, ratio = draw(direction)
     beyond = draw(st.one_of(st.none(), direction)) if base.kind == "half" else None
     obstacle = base.obstacle if beyond is None else str(sympy.expand(-0.7 * distance(base._line) ** 2))
-    found = Anisotropic(**{
+    return Anisotropic(**{
         **vars(base), "options": {**base.options, "element": "P1"}, "obstacle": obstacle, "stiff": "1",
     }, angle=angle, ratio=ratio, beyond=beyond)  # fmt: skip
-    assume(found.short)
-    return found

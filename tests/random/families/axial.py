@@ -9,30 +9,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import sympy
-from hypothesis import assume
 from hypothesis import strategies as st
 from sympy import Expr
 
 from tests.random.families.manufactured import (
+    SIDES,
     Circle,
     Curve,
     Line,
     Manufactured,
     Piecewise,
+    everywhere,
     expression,
-    load_of,
     square,
     x,
     y,
 )
-from tests.random.families.meshes import DIAGONALS
-from tests.random.families.strategies import place, power
+from tests.random.families.strategies import bounds_by_all_ways, grids, place, power
 
 RADII = ((0.0, 1.0), (0.0, 0.3), (0.02, 1.0), (0.5, 1.5), (4.0, 5.0))
 HEIGHTS = ((-0.5, 0.5), (0.0, 0.1), (-1.0, 1.0))
 KINDS = ("none", "ball", "hole", "tube", "shell", "layer", "half", "pipe")
+OUTSIDE = ("hole", "shell")  # contact is beyond the curve
 EVEN = ("0", "0", "x**2", "x**2*y - y**2", "exp(-x**2 + y)", "cos(3*x**2)*y", "1/(2 + x**2 + y)")
 ANY = (*EVEN, "x", "x*y - x**3", "sin(3*x + y)", "log(x)", "sqrt(x)*y")
 EVEN_TENSIONS = ("1", "1", "0.01", "1 + x**2", "exp(x**2/4 - y)", "2 + sin(5*y)*cos(3*x**2)")
@@ -78,6 +77,7 @@ class Axial(Manufactured):
     sprung: bool
 
     name = "axial"
+    axial = True
 
     @property
     def _on_axis(self) -> bool:
@@ -110,47 +110,52 @@ class Axial(Manufactured):
     def u(self) -> list[Piecewise]:
         psi, phi, sign = self._psi(), self._curve()[1], self.sign
         if self.kind == "none":
-            return [self._parts(psi, psi)]
+            return [everywhere(psi)]
         if self.kind == "pipe":
             log = sympy.log(x / self.radius)
             return [self._parts(log / self.inside, log)]
         touching, free = sign * psi, sign * (psi + self.size * phi**2)
-        return [self._parts(free, touching) if self.kind in ("hole", "shell") else self._parts(touching, free)]
+        return [self._parts(free, touching) if self.kind in OUTSIDE else self._parts(touching, free)]
 
     def tension(self) -> Piecewise:
         if self.kind == "pipe":
             return self._parts(sympy.Float(self.inside), sympy.Integer(1))
-        stiff = self._of(self.stiff)
-        return self._parts(stiff, stiff)
+        return everywhere(self._of(self.stiff))
 
-    def weight(self, px: np.ndarray) -> np.ndarray:
-        return px
+    def foundation(self) -> Piecewise | None:
+        return everywhere(self._of(self.bed)) if self.bed != "0" else None
+
+    def _in_contact(self) -> bool:
+        return self.kind not in ("none", "pipe")
+
+    def balance(self) -> Piecewise:
+        load = super().balance().map(sympy.expand)
+        if not self._in_contact():
+            return load
+        pressed, zero = self.sign * self._of(self.pressure), sympy.Integer(0)
+        push = self._parts(zero, pressed) if self.kind in OUTSIDE else self._parts(pressed, zero)
+        return load.map(lambda one, p: one - p, push)
 
     def data(self) -> dict[str, Any]:
-        (u,), tension, k = self.u(), self.tension(), self._of(self.bed)
-        found = {"tension": tension.text(self.spelling), "axial_symmetry": True}
-        load = u.map(lambda u, tension: sympy.expand(load_of(u, tension, k, axial=True)), tension)
-        if self.kind not in ("none", "pipe"):
-            pressed, phi = self.sign * self._of(self.pressure), self._curve()[1]
-            outside = self.kind in ("hole", "shell")
-            zero = sympy.Integer(0)
-            push = self._parts(zero, pressed) if outside else self._parts(pressed, zero)
-            load = load.map(lambda one, p: one - p, push)
-            low = str(self._psi())
+        found = super().data()
+        if self._in_contact():
+            low, phi = str(self._psi()), self._curve()[1]
             if self.lowered:
-                low = f"{low} - 0.7*max(0, {-phi if outside else phi} - {self.radius / 9!r})"
+                low = f"{low} - 0.7*max(0, {-phi if self.kind in OUTSIDE else phi} - {self.radius / 9!r})"
             found[self.side] = f"{'-' if self.upper else ''}({low})"
-        found["load"] = load.text(self.spelling)
-        if self.bed != "0":
-            found["foundation"] = str(k)
         return found
 
     def boundary(self) -> list[dict[str, Any]]:
-        """The parts of the boundary."""
-        names = ["left", "right"] if self.mesh["shape"] == "interval" else ["left", "right", "top", "bottom"]
-        given = [side for side in names if side not in self.sides and not (side == "left" and self._on_axis)]
-        return [*([{"on": given, "value": self.value()}] if given else []),
-                *(self.natural(side, SPRING if self.sprung else "") for side in self.sides)]  # fmt: skip
+        """On an axis nothing is given."""
+        return super().boundary() if self.sides or not self._on_axis else [
+            {"on": self.held_sides(), "value": self.value()}]  # fmt: skip
+
+    def held_sides(self) -> list[str]:
+        names = ["left", "right"] if self.mesh["shape"] == "interval" else list(SIDES)
+        return names[1:] if self._on_axis else names
+
+    def support(self) -> str:
+        return SPRING if self.sprung else ""
 
 
 @st.composite
@@ -165,25 +170,18 @@ def axial(draw: st.DrawFn) -> Axial:
     heights = (0.0, 0.0)
     if not flat:
         heights = draw(st.sampled_from(HEIGHTS))
-        mesh = {"shape": "rectangle", "cells": draw(st.integers(4, 14)), "x": list(radii), "y": list(heights),
-                "diagonal": draw(st.sampled_from(DIAGONALS)),
-                "perturb": draw(st.sampled_from([0.0, 0.1, 0.2]))}  # fmt: skip
+        mesh = draw(grids(4, 14, (0.0, 0.1, 0.2), x=radii, y=heights))
     width = radii[1] - radii[0]
     radius = draw(place(0.1, 0.9)) * width + (radii[0] if kind in ("tube", "shell", "pipe") else 0.0)
     a, b = (round(low + (high - low) * draw(place(0.1, 0.9)), 6) for low, high in (radii, heights))
-    tolerance = draw(st.sampled_from([None] * 6 + [0.3, 0.1]))
-    asked = {"bound": True} if tolerance is None else {"tol": tolerance, "budget": "500 unknowns"}
-    asked |= draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
     sides = draw(st.lists(st.sampled_from(["right"] if flat else FREE), max_size=2, unique=True))
     foundation = draw(st.sampled_from(FOUNDATIONS))
     if flat and on_axis and foundation == "0":
         sides = []
-    found = Axial(
-        mesh, {"element": "P1", **asked}, draw(st.integers(0, 9)), kind, (a, b), round(radius, 6),
+    return Axial(
+        mesh, draw(bounds_by_all_ways("P1")), draw(st.integers(0, 9)), kind, (a, b), round(radius, 6),
         draw(st.sampled_from([1.0, 4.0, 0.1])), draw(st.sampled_from(EVEN if on_axis else ANY)),
         draw(st.sampled_from(EVEN_TENSIONS if on_axis else TENSIONS)), draw(power(-2, 2)),
         draw(st.sampled_from(["1", "30", "0", "1 + x**2"])), draw(st.booleans()), draw(st.booleans()), foundation,
         tuple(sides), draw(st.booleans()),
     )  # fmt: skip
-    assume(found.short)
-    return found

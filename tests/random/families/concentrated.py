@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 from sympy import Expr
 
-from fenicsx_obstacle import releases
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families.manufactured import (
     Line,
@@ -25,11 +24,10 @@ from tests.random.families.manufactured import (
     Piecewise,
     distance,
     expression,
-    load_of,
     x,
 )
-from tests.random.families.meshes import shifts
-from tests.random.families.strategies import place, power
+from tests.random.families.meshes import skewed
+from tests.random.families.strategies import bounds_by_all_ways, place, power
 from tests.random.families.supported import SHAPES
 
 OBSTACLES = ("0", "x**2", "x**3 - x", "sin(3*x)", "exp(-x)")
@@ -84,12 +82,12 @@ class LoadedString(Manufactured):
             parts.append((((Line((1.0, 0.0), right), True),) if right < 1 else (), self.sign * u))
         return [Piecewise(parts)]
 
+    def balance(self) -> Piecewise:
+        (sides, first), *others = super().balance().map(sympy.expand).parts
+        return Piecewise([(sides, first - (self.sign * self.pressure if self.contact > 0 else 0)), *others])
+
     def data(self) -> dict[str, Any]:
-        sign, mu, k = self.sign, expression(self.stiff), expression(self.bed)
-        load = self.u()[0].map(lambda u: sympy.expand(load_of(u, mu, k)))
-        if self.contact > 0:
-            (sides, first), *others = load.parts
-            load = Piecewise([(sides, first - sign * self.pressure), *others])
+        sign, mu, data = self.sign, expression(self.stiff), super().data()
         forces = [
             (point, -kink * float(mu.subs(x, point))) for point, kink in zip(self.points, self.kinks, strict=True)
         ]
@@ -97,11 +95,8 @@ class LoadedString(Manufactured):
         if self.end == "force":
             last = self.u()[0].parts[-1][1]
             forces.append((1.0, sign * float((mu * sympy.diff(last, x)).subs(x, 1))))
-        data: dict[str, Any] = {"tension": self.stiff, "load": load.text(self.spelling)}
         if forces:
             data["point_load"] = [{"at": at, "force": sign * force} for at, force in forces]
-        if self.bed != "0":
-            data["foundation"] = self.bed
         if self.contact > 0:
             data[self.side] = f"{sign}*({self.obstacle})"
         return data
@@ -124,10 +119,8 @@ def loaded_strings(draw: st.DrawFn) -> LoadedString:
     pressed = tuple(one for one in drawn if one < contact)
     assume(points or pressed)
     kink = power(-1, 1) if contact > 0 else st.one_of(power(-1, 1), power(-1, 1).map(lambda one: -one))
-    asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
-    asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
     return LoadedString(
-        {"shape": "interval", "cells": cells}, {"element": draw(st.sampled_from(["P1", "P2"])), **asked}, 0,
+        {"shape": "interval", "cells": cells}, draw(bounds_by_all_ways("P1", "P2")), 0,
         draw(st.sampled_from(OBSTACLES)), draw(st.sampled_from(TENSIONS)),
         draw(st.sampled_from(FOUNDATIONS)), contact, draw(st.sampled_from([1.0, 10.0])),
         draw(st.sampled_from([0.0, 1.0, 30.0])), points, tuple(draw(kink) for _ in points), pressed,
@@ -145,16 +138,9 @@ def lined(comm: MPI.Comm, cells: int, slope: float, stretch: float, scatter: flo
         stretch: Along x.
         scatter: How far other inner vertices are moved before, in parts of a cell.
     """
-    mesh = dmesh.create_rectangle(comm, [-np.ones(2), np.ones(2)], [2 * cells, 2 * cells],
-                                  ghost_mode=releases.FACET_GHOSTS)  # fmt: skip
-    h = 1 / cells
-    facets = dmesh.locate_entities(mesh, 1, lambda x: np.abs(x[0]) < h / 4)
-    tags = dmesh.meshtags(mesh, 1, facets, np.ones(len(facets), dtype=np.int32))
-    x = mesh.geometry.x
-    inside = np.all(np.abs(x[:, :2]) < 1 - h / 2, axis=1) & (np.abs(x[:, 0]) > h / 4)
-    x[:, :2] += scatter * h * shifts(x[:, :2] / h) * inside[:, None]
-    x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
-    return mesh, tags
+    mesh = skewed(comm, 2 * cells, 2.0, slope, stretch, scatter, middle=True, lined=True)
+    facets = dmesh.locate_entities(mesh, 1, lambda x: np.abs(x[0] / stretch - slope * x[1]) < 1 / (4 * cells))
+    return mesh, dmesh.meshtags(mesh, 1, facets, np.ones(len(facets), dtype=np.int32))
 
 
 @dataclass(frozen=True)
@@ -209,17 +195,12 @@ class LoadedLine(Manufactured):
         kink = distance(self._line) * expression(self.factor)
         return [self._parts(*(sign * one for one in (psi, psi + w, psi + kink, psi + w + kink)))]
 
-    def tension(self) -> Piecewise:
-        return self._parts(*[expression(self.stiff)] * 4)
+    def balance(self) -> Piecewise:
+        push = self.sign * sympy.Float(self.pressure) if self.contact else sympy.Integer(0)
+        return super().balance().map(lambda one, p: one - p, self._parts(push, *[sympy.Integer(0)] * 3))
 
     def data(self) -> dict[str, Any]:
-        (u,), sign, zero = self.u(), self.sign, sympy.Integer(0)
-        load = u.map(load_of, self.tension())
-        found = {"tension": self.stiff}
-        if self.contact:
-            load = load.map(lambda one, p: one - p, self._parts(sign * sympy.Float(self.pressure), zero, zero, zero))
-            found[self.side] = f"{sign}*({self.obstacle})"
-        return {**found, "load": load.text(self.spelling)}
+        return super().data() | ({self.side: f"{self.sign}*({self.obstacle})"} if self.contact else {})
 
     def scene(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
         """The scene (collective)."""
@@ -247,15 +228,11 @@ def loaded_lines(draw: st.DrawFn) -> LoadedLine:
     mesh = {"shape": "own", "cells": draw(st.integers(2, 7)), "slope": slope,
             "stretch": draw(st.sampled_from([1.0, 1.0, 0.3])) / (1 + abs(slope)),
             "scatter": draw(st.sampled_from([0.0, 0.2, 0.3]))}  # fmt: skip
-    asked = draw(st.sampled_from([{"bound": True}] * 6 + [{"tol": 0.2, "budget": "500 unknowns"}]))
-    asked = asked | draw(st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}]))
     kind = draw(st.sampled_from(["none", "contact", "contact", "borne"]))
-    found = LoadedLine(
-        mesh, {"element": "P1", **asked}, draw(st.integers(0, 9)), draw(st.sampled_from(OBSTACLES_2D)),
+    return LoadedLine(
+        mesh, draw(bounds_by_all_ways("P1")), draw(st.integers(0, 9)), draw(st.sampled_from(OBSTACLES_2D)),
         draw(st.sampled_from(TENSIONS_2D)), draw(st.sampled_from(FACTORS)), draw(st.sampled_from(sorted(SHAPES))),
         draw(st.sampled_from([0.0, 0.0, 0.5, 20.0, 200.0, 1e4])), kind == "contact", draw(st.sampled_from([1.0, 4.0])),
         draw(st.sampled_from([0.0, 1.0, 30.0])), draw(st.sampled_from([(0.0, 1.0), (1.0, 0.0), (0.6, -0.8)])),
         draw(st.booleans()), draw(st.sampled_from([1.0, 30.0])) if kind == "borne" else 0.0,
     )  # fmt: skip
-    assume(found.short)
-    return found

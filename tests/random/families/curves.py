@@ -17,9 +17,9 @@ CIRCLES = ("where(r < {a}, {k}, 1)", "where(x^2 + y^2 < {aa}, {k}, 1)", "({k})*(
            "where(hypot(x, y) >= {a}, 1, {k})")  # fmt: skip
 
 
-def moved(mesh: dict[str, Any], corner: tuple[float, float]) -> dict[str, Any]:
+def squares(corner: tuple[float, float]) -> st.SearchStrategy[dict[str, Any]]:
     """The table [mesh] of a unit square with this lower left corner."""
-    return {**mesh, **{axis: [start, start + 1] for axis, start in zip("xy", corner, strict=True)}}
+    return grids(x=(corner[0], corner[0] + 1), y=(corner[1], corner[1] + 1))
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def inclusions(draw: st.DrawFn) -> Inclusion:
     """Contrasts up to 1e6; the square holds all of the disk or a quarter of it."""
     corner = draw(st.sampled_from([(0.0, 0.0), (-0.5, -0.5), (-0.613, 0.0), (-0.5, -0.377)]))
     return Inclusion(
-        mesh=moved(draw(grids()), corner), options=draw(bounds()), radius=draw(place(0.1, 0.45 if corner[0] else 0.95)),
+        mesh=draw(squares(corner)), options=draw(bounds()), radius=draw(place(0.1, 0.45 if corner[0] else 0.95)),
         stiff=draw(st.one_of(power(-6, 6), power(-1, 1))), spelling=draw(st.integers(0, 3)),
     )  # fmt: skip
 
@@ -106,5 +106,5 @@ def poles(draw: st.DrawFn) -> Pole:
     """Mostly loads that are not square integrable."""
     corner = draw(st.sampled_from([(0.0, 0.0), (-0.5, -0.5), (-0.377, -0.613), (-0.377, 0.0)]))
     exponent = draw(st.one_of(place(0.05, 1), place(1, 2)))
-    return Pole(moved(draw(grids()), corner), draw(bounds()), 0, exponent, draw(st.sampled_from([1.0, 7.3])),
+    return Pole(draw(squares(corner)), draw(bounds()), 0, exponent, draw(st.sampled_from([1.0, 7.3])),
                 draw(st.sampled_from([0.0, 0.0, 1e-12])))  # fmt: skip

@@ -64,16 +64,6 @@ class Field:
             parts.append(np.einsum("cqm,cm->cq", slopes, self._coefficients[cells]))
         return np.stack(parts, axis=2) / self._size[cells]
 
-    def measure(self) -> float:
-        """Length or area of the mesh (collective)."""
-        if self.vertices.shape[2] == 1:
-            own = np.abs(self.vertices[:, 1, 0] - self.vertices[:, 0, 0])
-        elif self.vertices.shape[1] == 3:
-            own = areas(self.vertices)
-        else:  # the vertices of quadrilaterals are in the order of a tensor product
-            own = areas(self.vertices[:, [0, 1, 2]]) + areas(self.vertices[:, [1, 3, 2]])
-        return self.comm.allreduce(float(own.sum()))
-
     def ends(self) -> tuple[float, float]:
         """Least and largest value at the nodes (collective)."""
         low, high = self.values.min(initial=np.inf), self.values.max(initial=-np.inf)

@@ -89,6 +89,12 @@ class Judgement:
         words = what or ", ".join(["solve", *(f"{key}={value!r}" for key, value in options.items())])
         return self.attempt(lambda: solve(scene(), comm=self.comm, **options), expected, words)
 
+    def near(self, answer: Answer, least: float, most: float, margin: float) -> None:
+        """u must go from one value to the other, up to a margin (collective)."""
+        low, high = Field(answer.u).ends()
+        self.check(max(abs(low - least), abs(high - most)) <= margin,
+                   f"u from {low:.8g} to {high:.8g}; true: from {least:.8g} to {most:.8g}")  # fmt: skip
+
     def certificate(self, answer: Answer, error: float, norm: float, accuracy: float = 1e-9) -> None:
         """A bound that is said to hold must hold.
 

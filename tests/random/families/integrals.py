@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import basix
 import numpy as np
 
 from tests.random.families.elements import Field, areas
 
-Scalar = Callable[[np.ndarray, np.ndarray], np.ndarray]
 DEEPEST = 80  # how often pieces are divided,
 STEEP = 4.0  # sine of an angle at least, times radius over size
 FLAT = 1e-14  # area over squared diameter of what cuts through vertices leave by round-off
 TANGENT = 36  # and where a circle touches an edge
-BLOCK = 20000  # pieces or points that are integrated at once
+BLOCK = 20000  # points at which functions are evaluated at once
 ALONG = 12  # Gauss points in each part of an interval
-Vector = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ class Pieces:
 
     def nodes(self, count: int) -> Nodes:
         """Gauss points on these pieces."""
-        points, weights = gauss(count)
+        points, weights = gauss(basix.CellType.triangle, 2 * count - 2)
         return Nodes(np.repeat(self.cells, len(weights)),
                      np.einsum("qk,pkd->pqd", points, self.corners).reshape(-1, 2),
                      (areas(self.corners)[:, None] * weights).ravel())  # fmt: skip
@@ -249,13 +248,10 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric points and weights of sum 1 on a triangle, exact to degree 2 count - 2."""
-    t, w = np.polynomial.legendre.leggauss(count)
-    t, w = (t + 1) / 2, w / 2
-    first, second = np.repeat(t, count), np.tile(t, count)
-    points = np.column_stack([first, (1 - first) * second, (1 - first) * (1 - second)])
-    return points, 2 * np.repeat(w, count) * np.tile(w, count) * (1 - first)
+def gauss(cell: basix.CellType, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points and weights of sum 1 on a triangle or a tetrahedron."""
+    points, weights = basix.make_quadrature(cell, degree)
+    return np.column_stack([1 - points.sum(axis=1), points]), weights / weights.sum()
 
 
 def intervals(field: Field, places: Sequence[float]) -> Nodes:
@@ -268,28 +264,3 @@ def intervals(field: Field, places: Sequence[float]) -> Nodes:
         points = start + (end - start) * (t + 1) / 2
         found.append(Nodes(cells, points.reshape(-1, 1), ((end - start) * weights / 2).ravel()))
     return Nodes.joined(found)
-
-
-def energy_error(
-    field: Field, pieces: Pieces | Nodes, tension: Scalar, gradient: Vector, count: int = 4
-) -> tuple[float, float]:
-    """||tension^(1/2) grad(u - u_h)|| and ||tension^(1/2) grad u|| on the pieces (collective).
-
-    Args:
-        field: u_h.
-        pieces: Inside of each tension and gradient are smooth; or points of a quadrature.
-        tension: Of x and y, shape (n,), or matrices of shape (n, d, d).
-        gradient: Of u.
-        count: Gauss points in each direction of a piece.
-    """
-    found = np.zeros(2)
-    for part in np.array_split(np.arange(len(pieces.cells)), max(1, len(pieces.cells) // BLOCK)):
-        nodes = pieces[part] if isinstance(pieces, Nodes) else pieces[part].nodes(count)
-        x, y = nodes.coordinates
-        dim, stiff = nodes.points.shape[1], tension(x, y)
-        stiff = stiff if stiff.ndim == 3 else stiff[:, None, None] * np.eye(dim)
-        true = np.stack(np.broadcast_arrays(*gradient(x, y))[:dim], axis=1)
-        off = field.gradient(nodes.cells, nodes.points[:, None])[:, 0] - true
-        found += [nodes.weights @ np.einsum("ni,nij,nj->n", one, stiff, one) for one in (off, true)]
-    error, norm = np.sqrt(field.comm.allreduce(found))
-    return float(error), float(norm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, reduce
 from math import cos, sin
 from typing import Any
@@ -16,7 +16,7 @@ from sympy import Expr
 from tests.random.families import integrals
 from tests.random.families.elements import Field
 from tests.random.families.family import ClosedForm
-from tests.random.families.integrals import Nodes, Pieces, energy_error, intervals
+from tests.random.families.integrals import BLOCK, Nodes, Pieces, intervals
 from tests.random.families.meshes import made
 
 x, y = sympy.symbols("x y", real=True)
@@ -183,9 +183,35 @@ class Manufactured(ClosedForm):
         bed = getattr(self, "bed", "0")
         return everywhere(expression(bed)) if bed != "0" else None
 
-    def weight(self, px: np.ndarray) -> np.ndarray:
-        """Of integrals at points: with axial symmetry the radius."""
-        return np.ones_like(px)
+    @property
+    def around_axis(self) -> bool:
+        """Whether x is a radius: the attribute `axial`."""
+        return getattr(self, "axial", False)
+
+    def balance(self) -> Piecewise:
+        """What the only part of u is in balance with where there is no contact."""
+        (u,), k = self.u(), self.foundation() or everywhere(0)
+        return u.map(lambda *of: load_of(*of, axial=self.around_axis), self.tension(), k)
+
+    def data(self) -> dict[str, Any]:
+        found: dict[str, Any] = {"tension": self.tension(), "load": self.balance(), "foundation": self.foundation()}
+        found = {key: part.text(self.spelling) for key, part in found.items() if part is not None}
+        return {**found, "axial_symmetry": True} if self.around_axis else found
+
+    def boundary(self) -> list[dict[str, Any]]:
+        """The parts of the boundary: without u at those of the attribute `sides`."""
+        free = getattr(self, "sides", ())
+        given = [side for side in self.held_sides() if side not in free]
+        return [*([{"on": given, "value": self.value()}] if given else []),
+                *(self.natural(side, self.support()) for side in free)] if free else super().boundary()  # fmt: skip
+
+    def held_sides(self) -> Sequence[str]:
+        """Those where u is given, or a flux."""
+        return list(SIDES)
+
+    def support(self) -> str:
+        """Where a flux is given, as text; empty for none."""
+        return ""
 
     def poles(self) -> list[tuple[float, float]]:
         """Where the gradient is infinite, or not continuous."""
@@ -233,15 +259,24 @@ class Manufactured(ClosedForm):
         return along, across
 
     def stiffness(self, px: np.ndarray, py: np.ndarray) -> np.ndarray:
-        """The tension at points times the weight, or matrices of shape (n, 2, 2)."""
-        return self.weight(px) * self.tension().at(px, py)
+        """The tension at points, or matrices of shape (n, 2, 2)."""
+        return self.tension().at(px, py)
 
     def error(self, field: Field) -> tuple[float, float]:
         nodes, k = self.nodes(field), self.foundation()
-        error, norm = energy_error(field, nodes, self.stiffness, self.gradient)
-        if k is None:
-            return error, norm
-        px, py = nodes.coordinates
-        off = field.at(nodes.cells, nodes.points[:, None])[:, 0] - sum(part.at(px, py) for part in self.u())
-        more = field.comm.allreduce(float(nodes.weights @ (self.weight(px) * k.at(px, py) * off**2)))
-        return float(np.hypot(error, np.sqrt(more))), norm
+        if self.around_axis:
+            nodes = replace(nodes, weights=nodes.weights * nodes.points[:, 0])
+        found = np.zeros(2)
+        for some in np.array_split(np.arange(len(nodes.cells)), max(1, len(nodes.cells) // BLOCK)):
+            part = nodes[some]
+            (px, py), dim = part.coordinates, part.points.shape[1]
+            stiff = self.stiffness(px, py)
+            stiff = stiff if stiff.ndim == 3 else stiff[:, None, None] * np.eye(dim)
+            true = np.stack(np.broadcast_arrays(*self.gradient(px, py))[:dim], axis=1)
+            off = field.gradient(part.cells, part.points[:, None])[:, 0] - true
+            found += [part.weights @ np.einsum("ni,nij,nj->n", one, stiff, one) for one in (off, true)]
+            if k is not None:
+                of_u = field.at(part.cells, part.points[:, None])[:, 0] - sum(one.at(px, py) for one in self.u())
+                found[0] += part.weights @ (k.at(px, py) * of_u**2)
+        error, norm = np.sqrt(field.comm.allreduce(found))
+        return float(error), float(norm)

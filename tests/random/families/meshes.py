@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
+from tests.random.families.strategies import grids
 
 OWN = "own"
 RECTANGLES = (
     {"x": [0.0, 1.0], "y": [0.0, 1.0]}, {"x": [-1.0, 1.0], "y": [-1.0, 1.0]}, {"x": [-0.5, 0.5], "y": [-0.377, 0.623]},
     {"x": [-1.0, 0.3], "y": [-0.4, 0.6]},
 )  # fmt: skip
-DIAGONALS = ("right", "left", "crossed", "union-jack")
 
 
 def shifts(places: np.ndarray) -> np.ndarray:
@@ -26,8 +26,9 @@ def shifts(places: np.ndarray) -> np.ndarray:
 
 
 def skewed(
-    comm: MPI.Comm, cells: int, side: float, slope: float, stretch: float, scatter: float, middle: bool = False
-) -> dmesh.Mesh:
+    comm: MPI.Comm, cells: int, side: float, slope: float, stretch: float, scatter: float, *, middle: bool = False,
+    lined: bool = False,
+) -> dmesh.Mesh:  # fmt: skip
     """A grid on a parallelogram that is stretched along x: obtuse and flat triangles (collective).
 
     Args:
@@ -38,11 +39,14 @@ def skewed(
         stretch: Along x.
         scatter: How far inner vertices are moved before, in parts of a cell.
         middle: Whether its middle is at the origin.
+        lined: Whether the line of vertices in the middle stays straight; `cells` is even.
     """
     mesh = dmesh.create_rectangle(comm, [np.zeros(2), np.array([side, side])], [cells, cells],
                                   ghost_mode=releases.FACET_GHOSTS)  # fmt: skip
     x, h = mesh.geometry.x, side / cells
     inside = np.all((x[:, :2] > h / 2) & (x[:, :2] < side - h / 2), axis=1)
+    if lined:
+        inside &= np.abs(x[:, 0] - side / 2) > h / 4
     x[:, :2] += scatter * h * shifts(x[:, :2] / h) * inside[:, None]
     x[:, :2] -= side / 2 if middle else 0.0
     x[:, 0] = stretch * (x[:, 0] + slope * x[:, 1])
@@ -60,10 +64,9 @@ def made(table: dict[str, Any], comm: MPI.Comm) -> Any:
 def meshes(draw: st.DrawFn, low: int = 4, high: int = 14) -> dict[str, Any]:
     """Domains inside of |x|, |y| <= 1; an 'own' one is no table but made by `made`."""
     shape = draw(st.sampled_from(["rectangle", "rectangle", "rectangle", "l-shape", "disk", OWN]))
-    mesh: dict[str, Any] = {"shape": shape, "cells": draw(st.integers(low, high))}
     if shape == "rectangle":
-        mesh |= draw(st.sampled_from(RECTANGLES))
-        mesh |= {"diagonal": draw(st.sampled_from(DIAGONALS)), "perturb": draw(st.sampled_from([0.0, 0.0, 0.2, 0.3]))}
+        return draw(grids(low, high, (0.0, 0.0, 0.2, 0.3), **draw(st.sampled_from(RECTANGLES))))
+    mesh: dict[str, Any] = {"shape": shape, "cells": draw(st.integers(low, high))}
     if shape == "l-shape":
         mesh |= RECTANGLES[1]
     if shape == OWN:

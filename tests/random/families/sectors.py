@@ -10,8 +10,8 @@ import sympy
 from hypothesis import strategies as st
 
 from tests.random.families.manufactured import Line, Manufactured, Piecewise, everywhere, line_at, x, y
-from tests.random.families.meshes import DIAGONALS, meshes
-from tests.random.families.strategies import bounds, place, power
+from tests.random.families.meshes import meshes
+from tests.random.families.strategies import bounds, grids, place, power
 
 R = sympy.sqrt(x**2 + y**2)
 
@@ -90,7 +90,7 @@ def sectors(draw: st.DrawFn) -> Sectors:
     """Quadrants along the axes or turned, and other openings; a from 0.05 to 2."""
     opening = draw(st.sampled_from([pi / 2, pi / 2, pi / 3, 2.0, 0.7]))
     angle = draw(st.sampled_from([pi / 4, pi / 4, 0.0, 0.3, 1.1]))
-    return Sectors(draw(meshes()), draw(bounds("500", seldom=True)), draw(st.integers(0, 9)), angle, opening,
+    return Sectors(draw(meshes()), draw(bounds(seldom=True)), draw(st.integers(0, 9)), angle, opening,
                    draw(st.one_of(power(-1, 1), power(-2.5, 2.5))))  # fmt: skip
 
 
@@ -136,13 +136,12 @@ class Corner(Manufactured):
 @st.composite
 def corners(draw: st.DrawFn) -> Corner:
     """Re-entrant corners, squares with the corner or a side at the pole."""
-    mesh: dict[str, Any] = {"shape": draw(st.sampled_from(["l-shape", "rectangle"])), "cells": draw(st.integers(4, 14))}
-    if mesh["shape"] == "l-shape":
-        mesh |= {"x": [-1.0, 1.0], "y": [-1.0, 1.0]}
+    if draw(st.booleans()):
+        mesh = {"shape": "l-shape", "cells": draw(st.integers(4, 14)), "x": [-1.0, 1.0], "y": [-1.0, 1.0]}
     else:
-        mesh |= {"x": [0.0, 1.0], "y": draw(st.sampled_from([[0.0, 1.0], [-0.4, 0.6], [-0.5, 0.5]]))}
-        mesh |= {"diagonal": draw(st.sampled_from(DIAGONALS)), "perturb": draw(st.sampled_from([0.0, 0.2, 0.3]))}
+        sides = draw(st.sampled_from([(0.0, 1.0), (-0.4, 0.6), (-0.5, 0.5)]))
+        mesh = draw(grids(4, 14, (0.0, 0.2, 0.3), x=(0.0, 1.0), y=sides))
     exponents = st.one_of(st.just(round(2 / 3, 6)), place(0.2, 3)), st.one_of(place(-0.95, 0), place(0, 3))
-    return Corner(mesh, draw(bounds("500", seldom=True)), 0, draw(exponents[0]), draw(st.booleans()),
+    return Corner(mesh, draw(bounds(seldom=True)), 0, draw(exponents[0]), draw(st.booleans()),
                   draw(exponents[1]), draw(st.sampled_from([0.0, 1.0, -0.3])),
                   draw(st.sampled_from([1.0, 7.3, 1e-3])))  # fmt: skip

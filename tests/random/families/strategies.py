@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from hypothesis import strategies as st
+
+DIAGONALS = ("right", "left", "crossed", "union-jack")
 
 
 def power(low: float, high: float) -> st.SearchStrategy[float]:
@@ -17,19 +20,25 @@ def place(low: float = 0.0, high: float = 1.0) -> st.SearchStrategy[float]:
     return st.integers(1, 999).map(lambda k: round(low + (high - low) * k / 1000, 6))
 
 
-@st.composite
-def grids(draw: st.DrawFn, low: int = 4, high: int = 16) -> dict[str, Any]:
-    """The table [mesh] of a unit square of triangles."""
-    mesh: dict[str, Any] = {"shape": "rectangle", "cells": draw(st.integers(low, high))}
-    mesh["diagonal"] = draw(st.sampled_from(["right", "left", "crossed", "union-jack"]))
-    mesh["perturb"] = draw(st.sampled_from([0.0, 0.0, 0.2]))
-    return mesh
+def grids(
+    low: int = 4, high: int = 16, perturb: Sequence[float] = (0.0, 0.0, 0.2), **ends: Sequence[float]
+) -> st.SearchStrategy[dict[str, Any]]:
+    """The table [mesh] of a rectangle of triangles, by default the unit square."""
+    return st.fixed_dictionaries({
+        "shape": st.just("rectangle"), "cells": st.integers(low, high), "diagonal": st.sampled_from(DIAGONALS),
+        "perturb": st.sampled_from(perturb), **{axis: st.just(list(places)) for axis, places in ends.items()},
+    })  # fmt: skip
 
 
-@st.composite
-def bounds(draw: st.DrawFn, unknowns: str = "2e3", *, seldom: bool = False) -> dict[str, Any]:
-    """What is asked for: a bound, or a tolerance (`seldom`: it takes more time); on P1 or P2."""
-    element = draw(st.sampled_from(["P1", "P2"]))
-    tolerance = draw(st.sampled_from([None] * (12 if seldom else 2) + [0.3, 0.1, 0.05]))
-    asked = {"bound": True} if tolerance is None else {"tol": tolerance, "budget": f"{unknowns} unknowns"}
-    return {"element": element, **asked}
+def bounds(*, seldom: bool = False, elements: Sequence[str] = ("P1", "P2")) -> st.SearchStrategy[dict[str, Any]]:
+    """What is asked for: a bound, or a tolerance (`seldom`: it takes more time)."""
+    budget = "500 unknowns" if seldom else "2e3 unknowns"
+    asked = [{"bound": True}] * (12 if seldom else 2) + [{"tol": tol, "budget": budget} for tol in (0.3, 0.1, 0.05)]
+    return st.builds(lambda element, one: {**one, "element": element}, st.sampled_from(elements),
+                     st.sampled_from(asked))  # fmt: skip
+
+
+def bounds_by_all_ways(*elements: str) -> st.SearchStrategy[dict[str, Any]]:
+    """The same for scenes with contact: by each method, with several eps."""
+    ways = st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}, {"eps": "h^2"}])
+    return st.builds(lambda asked, way: asked | way, bounds(seldom=True, elements=elements), ways)

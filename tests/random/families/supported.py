@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import sympy
-from hypothesis import assume
 from hypothesis import strategies as st
 
 from tests.random.families.manufactured import SIDES, Curve, Manufactured, Piecewise, everywhere, line_at, x, y
@@ -63,12 +62,8 @@ class Supported(Manufactured):
             data |= {"load": f"({data.get('load', 0)}) + {foundation}*({self.value()})", "foundation": foundation}
         return data
 
-    def boundary(self) -> list[dict[str, Any]]:
-        """The parts of the boundary."""
-        given = [side for side in SIDES if side not in self.sides]
-        spring = f"{self.stiff!r}*{SHAPES[self.spring].text(self.spelling)}" if self.stiff > 0 else ""
-        return [*([{"on": given, "value": self.value()}] if given else []),
-                *(self.natural(side, spring) for side in self.sides)]  # fmt: skip
+    def support(self) -> str:
+        return f"{self.stiff!r}*{SHAPES[self.spring].text(self.spelling)}" if self.stiff > 0 else ""
 
     def curves(self) -> list[Curve]:
         """See `Manufactured.curves`."""
@@ -81,10 +76,8 @@ def supported(draw: st.DrawFn) -> Supported:
     base = draw(st.one_of(varying(), touching()).filter(lambda one: one.mesh["shape"] == "rectangle"))
     foundation = draw(st.sampled_from([0.0, 0.0, 0.3, 7.0, 300.0, 1e5]))
     sides = draw(st.lists(st.sampled_from(sorted(SIDES)), min_size=0 if foundation else 1, max_size=3, unique=True))
-    found = Supported(
+    return Supported(
         base.mesh, {**base.options, "element": "P1"}, base.spelling, base, draw(st.sampled_from(sorted(SHAPES))),
         foundation, tuple(sides), draw(st.sampled_from(sorted(SHAPES))),
         draw(st.sampled_from([0.0, 0.0, 0.5, 20.0, 1e4])),
     )  # fmt: skip
-    assume(found.short)
-    return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 from fenicsx_obstacle.answers.answer import Answer
 from tests.random.families.elements import Field
 from tests.random.families.family import EITHER, Judgement
-from tests.random.families.manufactured import Manufactured, Piecewise, everywhere, expression, load_of
+from tests.random.families.manufactured import Manufactured, Piecewise, everywhere, expression
 from tests.random.families.meshes import meshes
 from tests.random.families.strategies import bounds, grids, power
 
@@ -45,17 +44,12 @@ class Varying(Manufactured):
     def tension(self) -> Piecewise:
         return everywhere(self.scale * expression(self.stiff))
 
-    def data(self) -> dict[str, Any]:
-        (one,), tension = self.u(), self.tension()
-        return {"tension": tension.text(), "load": one.map(load_of, tension).text()}
 
-
-@st.composite
-def varying(draw: st.DrawFn) -> Varying:
+def varying() -> st.SearchStrategy[Varying]:
     """Polynomials, mostly."""
-    formula = draw(st.one_of(st.sampled_from(POLYNOMIALS), st.sampled_from(SMOOTH)))
-    return Varying(draw(meshes()), draw(bounds("500", seldom=True)), 0, formula, draw(st.sampled_from(TENSIONS)),
-                   draw(power(-3, 3)))  # fmt: skip
+    formula = st.one_of(st.sampled_from(POLYNOMIALS), st.sampled_from(SMOOTH))
+    return st.builds(Varying, meshes(), bounds(seldom=True), st.just(0), formula, st.sampled_from(TENSIONS),
+                     power(-3, 3))  # fmt: skip
 
 
 @dataclass(frozen=True)
