@@ -9,7 +9,7 @@ RUN apt-get update \
     $(cat /tmp/debian-packages*.txt) python3-pyvista xauth xvfb \
  && dpkg-query -W -f '${Package}\n' | grep -E '^(g\+\+|gfortran|lib(boost|dolfinx|eigen|stdc\+\+|vtk).*-dev$)' \
   | xargs dpkg --purge --force-depends \
- && rm -rf /var/lib/apt/lists/* /tmp/debian-packages*.txt /usr/share/doc/*
+ && apt-get clean && rm -rf /var/lib/apt/lists/* /tmp/debian-packages*.txt /usr/share/doc/*
 
 COPY . /opt/fenicsx_obstacle
 # editable: demos/ and tests/ are found beside the package
