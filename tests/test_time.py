@@ -217,6 +217,19 @@ def test_frames_after_a_restart(folder):
     assert [frame.t for frame in answer.time_history.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
 
 
+@pytest.mark.parametrize(("zero", "size"), [(3e7, 1.0), (0.0, 1e-60), (0.0, 1e60)])
+def test_frames_in_any_unit(zero, size):
+    """The last frame is the solution, also far from the zero of u, and in tiny and huge units."""
+    scene = Scene(
+        mesh=INTERVAL, tension=1, load=-size, lower=zero - size, boundary=[{"value": zero}],
+        time={"end": 1, "steps": 1, "frames": 1},
+    )  # fmt: skip
+    answer = solve(scene, comm=MPI.COMM_SELF)
+    u = answer.time_history.frames[-1].fields["u"] - zero
+    x = answer.level.points[0]
+    assert u == pytest.approx(size * x * (x - 1) / 2, abs=1e-6 * size)
+
+
 @pytest.mark.slow
 def test_levels_serve_steps():
     """In two dimensions steps are preconditioned by multigrid on all levels: few iterations however fine.
