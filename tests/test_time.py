@@ -13,7 +13,7 @@ from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.answers.data_within_steps import _Search
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.answers.steps import difference, extrapolation
-from fenicsx_obstacle.answers.time_history import TimeHistory
+from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays
 from tests.conftest import COMM, DEMOS, MORE_ON_SEVERAL_RANKS, slow_except
 
 INTERVAL = {"shape": "interval", "cells": 16}
@@ -443,6 +443,12 @@ def test_states_are_of_the_same_data(other, words, folder):
     solve(scene, keep=folder)
     with pytest.raises(InputError, match=f"other data: {words}"):
         solve(scene.change({**other, "time.end": 2}), restart=folder)
+
+
+def test_more_frames_than_four_digits_count():
+    """Frames come back in their order in time, whatever the order of the names of their groups."""
+    arrays = {f"{number:04d}/t": np.array(float(number)) for number in (1000, 10000, 1001)}
+    assert [frame.t for frame in from_arrays(arrays, 1)] == [1000, 1001, 10000]
 
 
 def test_a_column_that_is_not_there():
