@@ -260,6 +260,24 @@ def test_a_body_has_its_pressure_on_the_pressed_face(half, monkeypatch):
     assert shift[0] > 0 and np.allclose(pressure.points[:, 0], 0.98 + shift[0])
 
 
+@pytest.mark.serial
+def test_heights_have_a_unit_of_their_own(monkeypatch):
+    """The box of a graph is the same in tiny and huge units of u, and in the plane it is the domain."""
+    views = []
+    monkeypatch.setattr(render, "rendered", lambda arrays, given: (views.extend(given), ([], "not asked"))[1])
+    for size in (1e-9, 1.0, 1e9):
+        solve(membrane(load=-8 * size, lower=-0.3 * size)).plot()
+        assert np.allclose((views[-1].upper - views[-1].lower) / (1, 1, size), (1, 1, 0.372), rtol=1e-3)
+
+
+def test_an_obstacle_that_is_far_in_a_part_moves_no_line():
+    """Nodes beside the contact set are not in contact, however far the obstacle is elsewhere."""
+    scenes = [membrane(load=-8, lower=f"where(x < 0.7, -0.3, {far})") for far in ("-1e3", "-1e9")]
+    near, far = (on_rank_0(solve(scene)) for scene in scenes)
+    if COMM.rank == 0:
+        assert measure(free_boundary(near)[0]) == pytest.approx(measure(free_boundary(far)[0]), rel=0.01)
+
+
 def test_one_node_in_contact_keeps_its_line():
     """Smoothing does not take a small contact set away."""
     patch = on_rank_0(solve(membrane(load=1, upper="0.06 + 10*hypot(x - 0.5, y - 0.5)")))

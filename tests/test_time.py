@@ -12,7 +12,7 @@ from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.answers.data_within_steps import _Search
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.answers.time_history import TimeHistory
+from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays
 from tests.conftest import COMM, DEMOS, MORE_ON_SEVERAL_RANKS, slow_except
 
 INTERVAL = {"shape": "interval", "cells": 16}
@@ -183,6 +183,19 @@ def test_frames_after_a_restart(folder):
     assert [frame.t for frame in answer.time_history.frames] == pytest.approx([0, 0.25, 0.5, 1.0])
 
 
+@pytest.mark.parametrize(("zero", "size"), [(3e7, 1.0), (0.0, 1e-60), (0.0, 1e60)])
+def test_frames_in_any_unit(zero, size):
+    """The last frame is the solution, also far from the zero of u, and in tiny and huge units."""
+    scene = Scene(
+        mesh=INTERVAL, tension=1, load=-size, lower=zero - size, boundary=[{"value": zero}],
+        time={"end": 1, "steps": 1, "frames": 1},
+    )  # fmt: skip
+    answer = solve(scene, comm=MPI.COMM_SELF)
+    u = answer.time_history.frames[-1].fields["u"] - zero
+    x = answer.level.points[0]
+    assert u == pytest.approx(size * x * (x - 1) / 2, abs=1e-6 * size)
+
+
 @pytest.mark.slow
 def test_levels_serve_steps():
     """Steps are preconditioned by multigrid on all levels: few linear iterations in a Newton step, however fine."""
@@ -343,8 +356,8 @@ def test_round_off_of_earlier_steps():
 
 @pytest.mark.slow
 def test_no_bound_and_no_restart(folder):
-    """The bound is for one equilibrium; a scene at rest has no state to go on from; a state is of one mesh and of the
-    same data, and there must be time left."""
+    """The bound is for one equilibrium; a scene at rest has no state to go on from; a state is of one mesh, and
+    there must be time left."""
     scene = Scene(mesh=INTERVAL, tension=1, lower=-1, time={"end": 1, "steps": 2})
     later = scene.change({"time.end": 2, "time.steps": 4})
     solve(scene, keep=folder)
@@ -354,12 +367,36 @@ def test_no_bound_and_no_restart(folder):
         (scene, {"restart": "nowhere"}, "no state to continue from"),
         (scene, {"restart": folder}, "set a later"),
         (later.change({"mesh.cells": 17}), {"restart": folder}, "belongs to another mesh"),
-        (later.change({"obstacle.lower": -2}), {"restart": folder},
-         r"other data: \[obstacle\] lower was -1, now -2; only \[time\] steps"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             solve(one, **how)
     assert solve(later, restart=folder).record["time"]["steps"] == 4
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        ({"obstacle.lower": -2}, r"\[obstacle\] lower was -1, now -2; only \[time\] steps"),
+        ({"define.f": 4}, r"\[effects\] load was f\*t with f = -4, now f\*t with f = 4"),
+        ({"boundary": [{"on": "right", "value": 0}]}, r"\[\[boundary\]\] \(no. 1\) on was left, now right"),
+        ({"effects.axial_symmetry": True}, r"\[effects\] axial_symmetry was not there, now given"),
+    ],
+)
+def test_states_are_of_the_same_data(other, words, folder):
+    """Other data are rejected, also where the formula that uses them is the same."""
+    scene = Scene(
+        mesh=INTERVAL, define={"f": -4}, tension=1, load="f*t", lower=-1, boundary=[{"on": "left", "value": 0}],
+        time={"end": 1, "steps": 2},
+    )  # fmt: skip
+    solve(scene, keep=folder)
+    with pytest.raises(InputError, match=f"other data: {words}"):
+        solve(scene.change({**other, "time.end": 2}), restart=folder)
+
+
+def test_more_frames_than_four_digits_count():
+    """Frames come back in their order in time, whatever the order of the names of their groups."""
+    arrays = {f"{number:04d}/t": np.array(float(number)) for number in (1000, 10000, 1001)}
+    assert [frame.t for frame in from_arrays(arrays, 1)] == [1000, 1001, 10000]
 
 
 def test_a_column_that_is_not_there():

@@ -57,8 +57,7 @@ class Answer(Solution):
     def shown(self) -> Self:
         """What pictures show; of a body in time the moment of the largest contact force, as the load may end at zero.
 
-        Its title says which moment. An earlier moment than the last is on P1 simplices, in single precision (first use
-        is collective).
+        Its title says which moment. An earlier moment than the last is on P1 simplices (first use is collective).
         """
         time = self.record.get("time")
         if time is None or self.time_history is None or not self.scene.model.vector_valued:

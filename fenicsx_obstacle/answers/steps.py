@@ -136,7 +136,7 @@ def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, tim
             "times": np.array(steps.times),
             "rows": np.array(json.dumps([dict(row) for row in time_history.rows]).encode()),
         }
-        arrays["data"] = np.array(json.dumps(_in_words(model)).encode())
+        arrays["words"] = np.array(json.dumps(_in_words(model)).encode())
         arrays |= {"eps": np.array(steps.eps)} if steps.eps is not None else {}
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
@@ -150,9 +150,14 @@ def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, tim
 
 
 def _in_words(model: Model) -> dict[str, str]:
-    """Formulas and numbers by their place in the scene."""
-    of_text = [field for field in model.data if field.pointwise or field.uniform]
-    return {field.source.removeprefix(f"{model.source}: "): field.text for field in of_text}
+    """What is said of the data, by their place in the scene: formulas with their definitions, numbers, the parts of
+    the boundary, and the contents of files."""
+    words = {f"{part.name} on": "the boundary" if part.on is None else ", ".join(part.on) for part in model.boundary}
+    for effect in model.effects:
+        numbers = {key: one for key, one in vars(effect).items() if isinstance(one, int | float | str)}
+        words[f"[effects] {effect.key} {numbers.get('part', '')}".strip()] = f"given {numbers or ''}".strip()
+    words |= {field.source: field.in_full for field in model.data if field.pointwise or field.uniform}
+    return {place.removeprefix(f"{model.source}: "): text for place, text in words.items()}
 
 
 def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, TimeHistory]:
@@ -180,7 +185,7 @@ def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, Ti
         if elsewhere:
             raise InputError(f"{place}: belongs to another mesh: [mesh] must not change")
     data = _in_words(model)
-    before = json.loads(stored["data"].item()) if "data" in stored else data  # earlier versions did not keep them
+    before = json.loads(stored["words"].item()) if "words" in stored else data  # earlier versions did not keep them
     changed = [key for key in sorted({**before, **data}) if before.get(key) != data.get(key)]
     with agree(comm):
         if changed:

@@ -208,7 +208,7 @@ def from_arrays(found: Mapping[str, np.ndarray], count: int) -> list[Frame]:
         if values.dtype.kind != "f" or (name not in ("t", *BY_CELL) and values.shape[:1] != (count,)):
             raise ValueError(f"'{path}' has shape {values.shape} of {values.dtype}, not {count} numbers")
         frames.setdefault(number, {})[name] = values
-    return [Frame(float(one.pop("t")), one) for one in frames.values()]
+    return [Frame(float(frames[number].pop("t")), frames[number]) for number in sorted(frames, key=int)]
 
 
 def from_csv(text: str) -> tuple[Row, ...]:

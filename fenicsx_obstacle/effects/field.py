@@ -149,6 +149,11 @@ class Field:
         """Whether it has one value at a point, whichever cell it is asked in."""
         return self.continuous
 
+    @property
+    def in_full(self) -> str:
+        """What stands there, with what it refers to."""
+        return self.text
+
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         """Values at points (local; a Function: within the cells of this rank, not-a-number elsewhere).
 

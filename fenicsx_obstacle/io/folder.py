@@ -301,10 +301,9 @@ def _steps(file: Path, record: dict[str, Any]) -> tuple[Step, ...]:
 
 
 def frame_of(fields: Fields) -> dict[str, np.ndarray]:
-    """The fields of `gather` alone, in single precision."""
+    """The fields of `gather` alone."""
     own = _own(fields, fields.on_nodes())
-    found = {name: own[name].astype(np.float32) for name in own if name not in ("points", "cells")}
-    return _gathered(fields.level.comm, found)
+    return _gathered(fields.level.comm, {name: own[name] for name in own if name not in ("points", "cells")})
 
 
 def gather(fields: Fields) -> dict[str, np.ndarray]:

@@ -38,6 +38,11 @@ class FormulaField(Field):
     def pointwise(self) -> bool:
         return True
 
+    @property
+    def in_full(self) -> str:
+        used = [f"{key} = {one.text}" for key, one in self.vocabulary.define.items() if key in self.needs]
+        return f"{self.text} with {', '.join(used)}" if used else self.text
+
     def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
         return self.vocabulary.at_points(self.formula, x, self._known(x, names))
 

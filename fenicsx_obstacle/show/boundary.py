@@ -44,20 +44,20 @@ def patch_of(arrays: Mapping[str, np.ndarray]) -> Patch:
     return with_levels(Patch(arrays["points"], arrays["cells"], fields))
 
 
-def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) -> Patch:
+def with_levels(patch: Patch, range_of_u: float | None = None) -> Patch:
     """The same with the level function of each obstacle: negative at nodes in contact with it, otherwise positive.
 
     At nodes in contact where u is given no pressure is known: it becomes the mean of the pressed neighbours.
 
     Args:
         patch: The whole mesh, or all cells within `RINGS` of the free boundary.
-        largest_gap: Of part of a mesh, the largest distance from each obstacle on the whole of it, by side.
+        range_of_u: Of part of a mesh, the difference of the largest and the least u on the whole of it.
     """
     names = [name for name in (*SIDES, "gap") if name in patch.fields]
     finite = {name: np.clip(patch.fields[name], -FARTHEST, FARTHEST) for name in names}
     fields, edges = {**patch.fields, **finite}, _edges(patch.cells)
-    largest = largest_gap or {side: gap(fields, side).max(initial=0.0) for side in SIDES if side in names}
-    for side, size in largest.items():
+    size = np.ptp(fields["u"]) if range_of_u is None else range_of_u
+    for side in (side for side in SIDES if side in names):
         known = pressed(fields, side)
         given, corner = _given(fields, side, patch.cells, edges, size)
         for there in (given, *[corner] * CORNERS):
@@ -66,7 +66,7 @@ def with_levels(patch: Patch, largest_gap: Mapping[str, float] | None = None) ->
             held = has & ~known & there
             fields["pressure"] = np.where(held & (fields["pressure"] == 0), near, fields["pressure"])
             known = known | held
-        fields[LEVELS[side]] = _level(gap(fields, side), known, edges)
+        fields[LEVELS[side]] = _level(np.minimum(gap(fields, side), size), known, edges)
     return Patch(patch.points, patch.cells, fields)
 
 
@@ -126,14 +126,14 @@ def pressed(fields: Mapping[str, np.ndarray], side: str) -> np.ndarray:
 
 
 def _given(
-    fields: Mapping[str, np.ndarray], side: str, cells: np.ndarray, edges: np.ndarray, largest_gap: float
+    fields: Mapping[str, np.ndarray], side: str, cells: np.ndarray, edges: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nodes where u is given as the obstacle itself, so that no pressure tells of contact, only that beside it.
 
     Returns:
         First all of them, then those at corners and edges of the mesh: no neighbour is inside of it.
     """
-    given = ~pressed(fields, side) & (gap(fields, side) <= 1e-10 * largest_gap)
+    given = ~pressed(fields, side) & (gap(fields, side) <= 1e-10 * size)
     if not given.any():
         return given, given
     inner = np.ones(len(given), dtype=bool)

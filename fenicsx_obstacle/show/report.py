@@ -18,9 +18,9 @@ from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
 from fenicsx_obstacle.origin import program
-from fenicsx_obstacle.parallel import gathered, largest, on_root, peak_memory_mb, write_text
+from fenicsx_obstacle.parallel import gathered, largest, on_root, peak_memory_mb, smallest, write_text
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, gap, pressed, with_levels
+from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, pressed, with_levels
 from fenicsx_obstacle.show.explain import explained
 from fenicsx_obstacle.show.template import filled
 from fenicsx_obstacle.text import title_of
@@ -144,7 +144,7 @@ def near_free_boundary(fields: Fields) -> Patch | None:
     assert shown is not None  # plain has the nodes of P1
     level, owned, values = shown.level, shown.level.owned, shown.fields
     sides = [side for side in SIDES if side in values]
-    gaps = {side: max(0.0, largest(level.comm, gap(values, side)[:owned])) for side in sides}
+    range_of_u = largest(level.comm, values["u"][:owned]) - smallest(level.comm, values["u"][:owned])
     near, nodes = _near(shown, [pressed(values, side) for side in sides])
     rows = np.flatnonzero(nodes[:owned])
     parts: dict[str, np.ndarray] = {
@@ -159,7 +159,7 @@ def near_free_boundary(fields: Fields) -> Patch | None:
         return None
     # owned numbers rise from rank to rank: the nodes stay in their order
     renumbered = np.searchsorted(whole.pop("numbers"), whole.pop("cells"))
-    return with_levels(Patch(whole.pop("points"), renumbered, whole), gaps)
+    return with_levels(Patch(whole.pop("points"), renumbered, whole), range_of_u)
 
 
 def _near(shown: OnNodes, touching: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from fenicsx_obstacle.show.render import View
 HEIGHT = 0.42  # of the graph of u, in units of its widest side
 MARGIN = 0.12  # of the box above and below the graph, in units of the range of u
 THINNEST = 0.01  # of the widest side of a box
+RESOLVED = 1e-2  # heights that differ by less than `THINNEST` times that, beside their size, are drawn as one
 VISIBLE = 0.01  # of the height of the box
 ZOOM = {"graph": 1.2, "surface": 0.95, "solid": 0.95, "body": 0.95}  # of the box within its place on the page
 
@@ -53,11 +54,13 @@ def draw_views(
     if kind == "graph":
         margin = MARGIN * (upper[2] - lower[2] or 1.0)
         lower[2], upper[2] = lower[2] - margin, upper[2] + margin
-    widest = np.max(upper - lower)
+    in_plane = 2 if kind == "graph" else 3  # the height has a unit of its own
+    widest = np.full(3, np.max((upper - lower)[:in_plane]))
+    widest[in_plane:] = RESOLVED * np.abs([lower[2], upper[2]]).max()
     thin = (upper - lower < THINNEST * widest) * THINNEST * widest
     lower, upper = lower - thin, upper + thin
     size = upper - lower
-    scale = np.ones(3) / max(size[:2] if kind == "graph" else size)
+    scale = np.ones(3) / max(size[:in_plane])
     if kind == "graph":
         scale[2] = HEIGHT / size[2]
     views = [

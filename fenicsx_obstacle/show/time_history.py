@@ -122,12 +122,12 @@ class _Course:
         moments = left.lines[-len(chosen) :]  # beside the panel: within it they would cover some of its lines
         left.legend(handles=moments, fontsize=7, title=self._t, title_fontsize=7, loc="center left",
                     bbox_to_anchor=(1, 0.5))  # fmt: skip
-        touching = np.array([frame.fields["contact"][order] > 0.5 for frame in self._frames[1:]])
+        touching = np.array([frame.fields["contact"][order] > 0.5 for frame in self._frames])
         if touching.any():
-            times = np.array([frame.t for frame in self._frames[1:]])
+            times = np.array([frame.t for frame in self._frames])
             pressed = np.where(touching, 1.0, np.nan)
             right.pcolormesh(x, times, pressed, cmap="autumn", vmin=0, vmax=4, shading="nearest")
-            right.set(xlabel="x", ylabel=self._t, xlim=(x[0], x[-1]))
+            right.set(xlabel="x", ylabel=self._t, xlim=(x[0], x[-1]), ylim=(times[0], times[-1]))
             right.set_title("in contact", fontsize=9)
         else:
             right.set_axis_off()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from hashlib import sha256
 from math import cos, isfinite, radians, sin
 from pathlib import Path
 from typing import Any
@@ -123,6 +124,12 @@ class MeasuredField(Field):
             raise InputError(f"{self._name}: rotate is for columns x, y, z")
         self._shift = np.array([0.0, 0.0, 0.0] if table.shift is None else self._list("shift", table.shift))
         self.surface = self._made(heights)
+
+    @property
+    def in_full(self) -> str:
+        heights = vars(self._heights()).values()
+        digest = sha256(b"".join(one.tobytes() for one in heights if isinstance(one, np.ndarray)))
+        return f"{self.text} with heights {digest.hexdigest()[:8]}"
 
     # reading
 
