@@ -136,7 +136,7 @@ def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, tim
             "times": np.array(steps.times),
             "rows": np.array(json.dumps([dict(row) for row in time_history.rows]).encode()),
         }
-        arrays["words"] = np.array(json.dumps(_in_words(model)).encode())
+        arrays["data"] = np.array(json.dumps(_in_words(model)).encode())
         arrays |= {"eps": np.array(steps.eps)} if steps.eps is not None else {}
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
         content = to_hdf5(arrays)
@@ -185,7 +185,7 @@ def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, Ti
         if elsewhere:
             raise InputError(f"{place}: belongs to another mesh: [mesh] must not change")
     data = _in_words(model)
-    before = json.loads(stored["words"].item()) if "words" in stored else data  # earlier versions did not keep them
+    before = json.loads(stored["data"].item()) if "data" in stored else data  # earlier versions did not keep them
     changed = [key for key in sorted({**before, **data}) if before.get(key) != data.get(key)]
     with agree(comm):
         if changed:
