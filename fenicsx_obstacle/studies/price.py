@@ -120,8 +120,8 @@ def norms(rows: Rows) -> list[str]:
 def _there(rows: Rows, norm: str) -> bool:
     """Whether there is anything to measure: no area where contact is a point."""
     size = truth(rows).get(norm, solved(rows)[-1]["sizes"].get(norm))
-    most = max(row["sizes"].get(norm) or 0.0 for row in solved(rows))
-    return norm not in ("force", "area") or (size or 0.0) > NEGLIGIBLE_SIZE * most
+    most = max(abs(row["sizes"].get(norm) or 0.0) for row in solved(rows))
+    return norm not in ("force", "area") or abs(size or 0.0) > NEGLIGIBLE_SIZE * most
 
 
 def curves(rows: Rows, norm: str) -> list[Curve]:
