@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle.algebra.data_scales import determined, stiffness_of
 from fenicsx_obstacle.algebra.inexact_newton import Inexact
 from fenicsx_obstacle.algebra.linear import (
+    COARSEST,
     DIRECT,
     GENERAL,
     INEXACT,
@@ -114,6 +115,8 @@ def run(
     database = {**options, **(linear if multigrid is None else INEXACT)}
     if problem.direct:
         database |= SADDLE
+    if problem.comm.size > 1 and not problem.affine:
+        database |= COARSEST
     if inexact:
         database["ksp_norm_type"] = INEXACT["ksp_norm_type"]
     if user_has_set(f"{prefix}ksp_type"):
