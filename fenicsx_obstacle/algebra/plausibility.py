@@ -23,6 +23,7 @@ from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE, System
 from fenicsx_obstacle.parallel import largest, smallest, total
 
 NEAR = 1e-8  # of the values of the data: not beyond them
+SUM = EPSILON / LIMIT  # of A_ii: a smaller sum of rows is their round-off
 NO_SOLUTION = "which no solution does"  # part of the message
 BY_RESIDUAL = {"ksp_type": "gmres", "ksp_pc_side": "right", "ksp_norm_type": "unpreconditioned", "ksp_rtol": 1e-4}
 
@@ -71,20 +72,24 @@ def _not_borne(problem: System, active: np.ndarray) -> str | None:
 def _shifts(problem: System, active: np.ndarray) -> str | None:
     """Parts of the mesh that nothing holds, and on which no contact force acts.
 
-    A constant may be added to u there until u reaches an obstacle. With contact forces, or where the obstacles do not
-    let u move, the constant is determined.
+    If a constant that is added to u there changes the sum of the forces by less than round-off, A has no inverse, and u
+    may move until it reaches an obstacle. With contact forces, or where the obstacles do not let u move, it is
+    determined.
     """
-    if problem.balanced is None or problem.parts is None:
+    if problem.unheld is None or problem.parts is None:
         return None
     comm, u = problem.comm, problem.u
-    round_off = ROUNDOFF_MARGIN * EPSILON * stiffness_of(problem, exact_bounds=True) * np.abs(u)
+    size = largest(comm, np.abs(u))
+    shift = size or 1.0
+    stiffness = stiffness_of(problem, exact_bounds=True)
     problem.law.elastic(problem.elastic)
     count, component = problem.parts
     contact = np.where(problem.active_dofs(active != 0), np.abs(problem.elastic.array_r), 0.0)
     # a force that a solver with its default tolerance may leave, or round-off of exact balance
-    noise = NEAR * np.abs(problem.law.forces_at(0.0)) + round_off
-    columns = np.array([np.bincount(component, values, count) for values in (contact, noise)])
-    forces, negligible = comm.allreduce(columns)
+    noise = NEAR * np.abs(problem.law.forces_at(0.0)) + ROUNDOFF_MARGIN * EPSILON * stiffness * np.abs(u)
+    moved = problem.law.forces_at(u + shift) - problem.elastic.array_r
+    columns = np.array([np.bincount(component, values, count) for values in (contact, noise, moved, stiffness)])
+    forces, negligible, held, stiff = comm.allreduce(columns)
     least = np.full((2, count), np.inf)
     gaps = problem.gaps()
     if not problem.nodal:
@@ -93,10 +98,13 @@ def _shifts(problem: System, active: np.ndarray) -> str | None:
     for row, gap in zip(least, gaps, strict=True):
         np.minimum.at(row, component, gap)
     comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
-    size = largest(comm, np.abs(u))
-    if not (problem.balanced & (forces <= negligible) & (least.sum(axis=0) > NEAR * size)).any():
+    singular = np.abs(held) <= SUM * stiff * shift
+    if not (problem.unheld & singular & (forces <= negligible) & (least.sum(axis=0) > NEAR * size)).any():
         return None
-    return "u is given nowhere, and no contact force acts, so that u is determined only up to a constant; " + PRESCRIBE
+    return (
+        "u is given nowhere, no support is above round-off and no contact force acts, so that u is determined only up "
+        f"to a constant; {PRESCRIBE}"
+    )
 
 
 def _beyond_range(problem: System, active: np.ndarray) -> str | None:

@@ -69,9 +69,9 @@ class System:
         at_rest: Whether it is no step in time. A step is held by the state before it.
         share: Of the force that balances a step in time, the part that is the contact force: 1, or 1/2 with inertia.
         floating: Whether only contact holds some part of the mesh.
-        parts: Number of connected parts, and that of each dof. Only needed with `borne` or `balanced`.
+        parts: Number of connected parts, and that of each dof. Only needed with `borne` or `unheld`.
         borne: For each part whether contact alone bears its load; None if there are none.
-        balanced: For each part whether only contact forces determine a constant that may be added to u.
+        unheld: For each part whether u is given nowhere, so that contact forces alone may determine it.
         loose: Of bodies, the rigid motions that only contact resists; None if there are none.
         checks: Of a state in balance: the reason why it is no solution, or None; for effects that need more.
         hint: What a solver that fails adds to its reason.
@@ -99,7 +99,7 @@ class System:
     floating = False
     parts: tuple[int, np.ndarray] | None = None
     borne: np.ndarray | None = None
-    balanced: np.ndarray | None = None
+    unheld: np.ndarray | None = None
     loose: np.ndarray | None = None
     checks: Sequence[Check] = ()
     hint = ""

@@ -21,8 +21,8 @@ EPSILON = float(np.finfo(float).eps)
 
 
 def check_support(problem: MeshSystem) -> None:
-    """Check that each connected part of the mesh is supported, and note in `start`, `floating`, `borne` and `balanced`
-    of the problem what only contact supports (collective).
+    """Check that each connected part of the mesh is supported, and note in `start`, `floating`, `borne` and
+    `unheld` of the problem what only contact supports (collective).
 
     With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
     0. A support whose answer to u = 1 is below the round-off of the stiffness holds nothing; then an obstacle must, and
@@ -35,7 +35,7 @@ def check_support(problem: MeshSystem) -> None:
         InputError: Since no u is in balance, or since round-off would decide which one is.
     """
     comm, level = problem.level.comm, problem.level
-    problem.start, problem.floating, problem.borne, problem.balanced = None, False, None, None
+    problem.start, problem.floating, problem.borne, problem.unheld = None, False, None, None
     if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
         return
     count, component = level.parts
@@ -53,12 +53,14 @@ def check_support(problem: MeshSystem) -> None:
     soft = problem.soft_obstacles()
     rest, shift = _between(comm, soft)
     at_rest = problem.law.forces_at(rest)
-    scale = sums(diagonal_of(problem)) * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
-    moved = problem.law.forces_at(rest + shift) - at_rest
-    held = sums(moved) / shift
+    stiffness, forces = sums(diagonal_of(problem)), sums(np.abs(at_rest))
+    if problem.affine:  # any shift is as good: one whose forces are not lost in the round-off of the load
+        shift = float(np.divide(forces, stiffness, out=np.zeros(count), where=loose & (stiffness > 0)).max()) or shift
+    scale = stiffness * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
+    held = sums(problem.law.forces_at(rest + shift) - at_rest) / shift
     holds = held > scale
     net = -sums(at_rest)  # the load, and what supports answer to `rest`
-    size = ROUND_OFF * sums(np.abs(at_rest)) + scale * abs(rest)
+    size = ROUND_OFF * forces + scale * abs(rest)
     stiff = [_stiffness(problem, g, side, sums) - held for g, side in zip(soft, (-1, 1), strict=True)]
     up, down = ((one > scale) | _reached(problem, g, sums) for one, g in zip(stiff, hard, strict=True))
     presses = np.where(net < -size, up, np.where(net > size, down, up & down))
@@ -69,6 +71,12 @@ def check_support(problem: MeshSystem) -> None:
         bad &= ~((up & falls) | (down & rises))
     if bad.any():
         _refuse(problem, int(np.flatnonzero(bad)[0]), up, down, np.where(np.abs(net) > size, net, 0.0), held, count)
+    alone = loose & ~holds
+    unheld = loose & all(one is None for one in soft)
+    borne = unheld & alone & (np.abs(net) > size)
+    if problem.symmetric:  # if not, the load may be any where the rows of A have no sum
+        unheld &= ~borne
+    problem.borne, problem.unheld = (flags if flags.any() else None for flags in (borne, unheld))
     side = np.where(up & (~down | (net <= 0)), -1, 1)
     side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
     if not side.any():
@@ -94,13 +102,7 @@ def check_support(problem: MeshSystem) -> None:
         if undecided.any():
             nowhere = np.zeros(count, dtype=bool)
             _refuse(problem, int(np.flatnonzero(undecided)[0]), nowhere, nowhere, net, held, count)
-    alone = loose & ~holds
-    by_contact = alone & all(one is None for one in soft)
-    borne = by_contact & (np.abs(net) > size)
-    # where A is not symmetric, its rows have to be without sum, and the load may be any
-    balanced = by_contact & ~borne if problem.symmetric else by_contact & (sums(np.abs(moved)) <= scale * abs(shift))
     problem.start, problem.floating = start[: level.owned], bool(alone.any())
-    problem.borne, problem.balanced = (flags if flags.any() else None for flags in (borne, balanced))
 
 
 def _between(comm: MPI.Comm, soft: tuple[np.ndarray | None, np.ndarray | None]) -> tuple[float, float]:
