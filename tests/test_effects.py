@@ -1,12 +1,14 @@
 """Effects beside tension and load: each against a solution that is known, by the penalty and by SNES VI."""
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.effects.effect import Effect, _register, register
+from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.effects.plugin import load_plugin
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
@@ -381,7 +383,7 @@ def test_an_effect_is_one_file(key, tmp_path):
 
 
 def test_what_others_ask_is_the_role():
-    """A term like `foundation` under another name: with its role it holds u, and the error bound knows it."""
+    """A term like `foundation` under another name: with its role the error bound knows it."""
 
     class Bed(Effect):
         key = "bed"
@@ -396,12 +398,37 @@ def test_what_others_ask_is_the_role():
     known = solve(membrane(**scene, foundation=2), bound=True).record["bound"]
     try:
         register(Bed)
-        with pytest.raises(InputError, match="u is given nowhere"):
-            solve(membrane(**scene, bed=2))
+        assert not solve(membrane(**scene, bed=2), bound=True).bound.guaranteed
         Bed.role = "reaction"
         assert solve(membrane(**scene, bed=2), bound=True).record["bound"] == known
     finally:
         del _register["bed"]
+
+
+def test_a_role_says_that_the_term_has_one_datum():
+    """A bound that ignored the settlement of a foundation was 1e-14, and the error 5.5."""
+
+    @dataclass(frozen=True)
+    class Settled(Effect):
+        key, role = "settled", "reaction"
+        settlement: Field
+
+        @classmethod
+        def read(cls, raw, place, reader, **more):
+            return cls(*(reader.value(raw[key], place) for key in ("value", "settlement")))
+
+        def terms(self, u, v, data):
+            return data.cellwise(self.value) * (u + data.cellwise(self.settlement)) * v * data.dI
+
+    scene = {"boundary": [], "lower": -50, "settled": {"value": 10, "settlement": "20*sin(8*pi*x)"}}
+    try:
+        register(Settled)
+        with pytest.raises(InputError, match="'settled' has several data, but its role 'reaction'"):
+            solve(membrane(**scene), bound=True)
+        Settled.role = ""  # it holds u all the same
+        assert not solve(membrane(**scene), bound=True).bound.guaranteed
+    finally:
+        del _register["settled"]
 
 
 _U = "x*sin(pi*y)"  # 0 on three sides: boundary values take no part in the bound

@@ -80,7 +80,7 @@ HELD_BY_NOTHING = {
     "weak spring, lifted": ({"load": 1, "lower": 0, "boundary": SPRING}, NOT_PRESSED),
     "foundation between samples": ({"load": -1, "foundation": THIN}, WEAK),
     "weak foundation": ({"load": -1e-14, "foundation": 1e-15}, WEAK),
-    "nothing": ({"load": -1}, "there is no obstacle"),
+    "nothing": ({"load": -1}, "no obstacle supports it"),
     "drift alone, lifted": ({"load": 1, "drift": [1, 2], "lower": 0}, NOT_PRESSED),
     "film, no spring": ({"load": -1, "large_slope": 1, "boundary": [{"on": "left", "spring": 0}]}, WEAK),
 }

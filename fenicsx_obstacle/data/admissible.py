@@ -8,10 +8,8 @@ import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.algebra.system import PRESCRIBE
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.data.fields import OfFunction
-from fenicsx_obstacle.effects.effect import is_support
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 
@@ -33,11 +31,7 @@ def check_admissible(data: Data) -> None:
     Raises:
         InputError: Naming the place and the gap.
     """
-    comm, source = data.level.comm, data.model.source
     dofs, values = data.fixed
-    supported = any(is_support(effect) or effect.role == "soft obstacle" for effect in data.model.effects)
-    if data.lower is None and data.upper is None and total(comm, len(dofs)) == 0 and not supported:
-        raise InputError(f"{source}: u is given nowhere, and there is no obstacle: {PRESCRIBE}")
     _check_parts(data)
     given, (lower, upper) = values.x.array[dofs], (data.lower, data.upper)
     if lower is not None and upper is not None:

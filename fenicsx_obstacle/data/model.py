@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fenicsx_obstacle.data.time_discretization import TimeDiscretization
-from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart
+from fenicsx_obstacle.effects.effect import OF_VALUE, Effect, Elastic, OnPart
 from fenicsx_obstacle.effects.field import Field, fields_in
 from fenicsx_obstacle.errors import InputError
 
@@ -63,10 +63,17 @@ class Model:
         """Reject contradictory data.
 
         Raises:
-            InputError: If not exactly one effect is elastic, or obstacles are in the domain and on its boundary.
+            InputError: If not exactly one effect is elastic, obstacles are in the domain and on its boundary, or a
+                plug-in gives a term with several data the meaning of one with its value alone.
         """
         if (count := sum(isinstance(effect, Elastic) for effect in self.effects)) != 1:
             raise InputError(f"{self.source}: exactly one effect must be a stiffness, such as tension; {count} do")
+        for effect in self.effects:
+            if effect.role in OF_VALUE and set(vars(effect)) - {"value", "part"}:
+                raise InputError(
+                    f"{self.source}: effect '{effect.key}' has several data, but its role '{effect.role}' is that of a "
+                    "term with `value` alone, and error bounds would ignore the others: leave the role empty"
+                )
         if self.thin and (self.lower is not None or self.upper is not None):
             raise InputError(f"{self.source}: obstacles in the domain and on its boundary: these exclude each other")
 

@@ -28,6 +28,7 @@ from fenicsx_obstacle.errors import InputError
 # form; radial weight: the factor x of all integrals
 Role = Literal["", "tension", "matrix tension", "film", "load", "reaction", "drift", "part load", "part reaction",
                "soft obstacle", "point forces", "radial weight"]  # fmt: skip
+OF_VALUE = ("tension", "matrix tension", "load", "reaction", "drift", "part load", "part reaction", "point forces")
 _UPWINDED = ("load", "reaction", "drift")  # terms whose test functions are upwinded where there is drift
 
 

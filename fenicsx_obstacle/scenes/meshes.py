@@ -123,10 +123,12 @@ def shape_of(scene: Definitions) -> shapes.Shape:
             return shapes.box(cell, [corner("x"), corner("y"), corner("z")], table.cells, perturb=table.perturb)
         case "l-shape":
             return shapes.l_shape([corner("x"), corner("y")], table.cells)
-    radius = scene.number(table.radius, "[mesh] radius")
-    if radius <= 0:
-        raise InputError(f"{scene.source}: [mesh] radius = {radius:g}: must be positive")
-    return shapes.disk(radius, table.cells)
+        case "disk":
+            radius = scene.number(table.radius, "[mesh] radius")
+            if radius <= 0:
+                raise InputError(f"{scene.source}: [mesh] radius = {radius:g}: must be positive")
+            return shapes.disk(radius, table.cells)
+    raise NotImplementedError(table.shape)
 
 
 def _cell(scene: Definitions, *kinds: str) -> str:
