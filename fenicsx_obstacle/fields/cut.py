@@ -16,7 +16,7 @@ from dolfinx import fem
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.around_nodes import AroundNodes
-from fenicsx_obstacle.mesh.cells import given_cells, own_cells
+from fenicsx_obstacle.mesh.cells import cell_facets, given_cells, own_cells
 from fenicsx_obstacle.mesh.halving import Numbers
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import before
@@ -84,9 +84,17 @@ def _nodal(level: Level, function: fem.Function) -> np.ndarray:
     space = function.function_space
     if space == level.V:
         return function.x.array
-    values = function.x.array[releases.cell_dofs(space)[: own_cells(level.mesh)]] @ _at_nodes(level).T
+    given = function.x.array[releases.cell_dofs(space)[: own_cells(level.mesh)]]
+    values = given @ _at_nodes(level).T
     around = AroundNodes(level.V, releases.cell_dofs(level.V)[: len(values)])
-    return around.sums(values) / around.sums(np.ones(values.shape))
+    found = around.sums(values) / around.sums(np.ones(values.shape))
+    if level.pair.nodal and given.shape[1] == 3:  # between edges: the ends of those on the boundary belong to it alone
+        outside = np.isin(cell_facets(level.mesh)[: len(values)], level.boundary_facets)
+        ends = _at_nodes(level) > 0
+        ends[given.shape[1] :] = False
+        sums, counts = (around.sums((one * outside) @ ends.T.astype(float)) for one in (given, np.ones(given.shape)))
+        found = np.where(counts > 0, sums / np.maximum(counts, 1.0), found)
+    return found
 
 
 def _at_nodes(level: Level) -> np.ndarray:

@@ -146,6 +146,14 @@ class Fields:
             values["flux"] = self.values(points, "flux", tension)
         return values
 
+    def obstacles_at(self, points: np.ndarray) -> list[np.ndarray]:
+        """The obstacles at points, shape (n, 3), infinite where there are none (collective)."""
+        return [self._with_infinities(one, points) for one in (self.lower, self.upper) if one is not None]
+
+    def touches_at(self, points: np.ndarray) -> np.ndarray:
+        """Whether there is contact at points: between nodes, half-way (collective)."""
+        return self._evaluated(self.contact, points) >= 0.5
+
     def _components(self, of: str, tension: Any) -> list[fem.Function]:
         """A quantity as Functions of this mesh (collective)."""
         known = ("u", "pressure", "gap", "slope", "flux")

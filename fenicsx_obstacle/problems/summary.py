@@ -22,27 +22,19 @@ def summary(record: Mapping[str, Any], title: str) -> str:
     eps = "" if r["eps"] is None else f", eps = {r['eps']:.3g}"
     figures = main_values(r)
     if "peclet" in r:
-        how = "upwinded where it is above 1" if r["peclet"] > 1 else "so nowhere upwinded"
-        figures.append(f"largest Peclet number of a cell {r['peclet']:.3g}, {how}")
+        figures.append(f"largest Peclet number of a cell {peclet_in_words(r)}")
     if r["free"] == 0:
         figures.append("u is given at every node: use more cells")
-    linear = "GMRES step" if "peclet" in r else "linear step"
-    steps = f"{counted(r['newton_iterations'], 'Newton step')}, {counted(r['krylov_iterations'], linear)}"
-    if "time" in r:
-        steps = f"in all {counted(r['newton_total'], 'Newton step')}, {counted(r['krylov_total'], linear)}"
     lines = [
         title,
         f"  {r['method']}{eps}; {size}; {counted(r['ranks'], 'rank')}",
-        *_steps(r),
-        f"  {steps}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
+        *([f"  {time_in_words(r)}; at the end:"] if "time" in r else []),
+        f"  {steps_in_words(r)}, {r['seconds']['solve']:.2f} s (and {r['seconds']['mesh']:.2f} s for the mesh), "
         f"{r['seconds']['total']:.2f} s in all, {r['memory_mb']:.0f} MB",
         "  " + "; ".join(figures),
         *(f"  contact {words}" for words in patches_in_words(r["contact"])),
-        *(f"  mesh: {remark}" for remark in r.get("mesh_remarks", ())),
-        *(f"  warning: {remark}" for remark in r.get("remarks", ())),
-        *([f"  warning: {r['boundary_jump']}"] if "boundary_jump" in r else []),
+        *(f"  {name}: {words}" for name, words in remarks_in_words(r)),
     ]
-    lines += _round_off(r)
     if "reason" in r.get("uncertainty", {}):
         lines.append(f"  no uncertainty: {r['uncertainty']['reason']}")
     if "errors" in r:
@@ -58,38 +50,53 @@ def summary(record: Mapping[str, Any], title: str) -> str:
             lines.append("  energy of the exact solution between {:.8g} and {:.8g}".format(*b["energy"]))
     if (goal := r.get("goal")) is not None:
         lines.append(f"  {goal['name']} = {with_error(goal['value'], goal['error'])} ({goal['words']})")
-    lines += _enclosure(r) + _tolerance(r)
+    lines += _enclosure(r) + [f"  {words}" for words in tolerance_in_words(r)]
     if r.get("report"):
         lines.append("  report: " + ", ".join(f"{name} = {words}" for name, words in report_in_words(r).items()))
     return "\n".join(lines)
 
 
-def _steps(record: Mapping[str, Any]) -> list[str]:
-    """The steps in time, in words."""
-    time = record.get("time")
-    if time is None:
-        return []
+def remarks_in_words(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What a user should know of a mesh and of a solution, in the order of a text: mesh, warning or round-off, and
+    words."""
+    mesh = [("mesh", remark) for remark in record.get("mesh_remarks", ())]
+    jump = [record["boundary_jump"]] if "boundary_jump" in record else []
+    return mesh + [("warning", remark) for remark in (*record.get("remarks", ()), *jump)] + _round_off(record)
+
+
+def steps_in_words(record: Mapping[str, Any]) -> str:
+    """Newton steps and linear ones; of all steps in time together."""
+    of, all_steps = ("total", "in all ") if "time" in record else ("iterations", "")
+    linear = "GMRES step" if "peclet" in record else "linear step"
+    return f"{all_steps}{counted(record[f'newton_{of}'], 'Newton step')}, {counted(record[f'krylov_{of}'], linear)}"
+
+
+def peclet_in_words(record: Mapping[str, Any]) -> str:
+    """The largest Peclet number of a cell, and what follows."""
+    how = "upwinded where it is above 1" if record["peclet"] > 1 else "so nowhere upwinded"
+    return f"{record['peclet']:.3g}, {how}"
+
+
+def time_in_words(record: Mapping[str, Any]) -> str:
+    """The steps in time."""
+    time = record["time"]
     scheme = {"equilibria": "equilibria", "euler": "implicit Euler", "bdf2": "BDF2",
               "midpoint": "midpoint rule"}[time["scheme"]]  # fmt: skip
     again = f", {counted(time['rejected'], 'step')} repeated" if time["rejected"] else ""
-    return [f"  {counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}; at the end:"]
+    return f"{counted(time['steps'], 'step')} to {time['name']} = {time['t']:g}, {scheme}{again}"
 
 
-def _round_off(record: Mapping[str, Any]) -> list[str]:
-    """Lines about the round-off of the pressure, if it is large."""
-    found, lines = record.get("round_off", {}), []
+def _round_off(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """About the round-off of the pressure, if it is large."""
+    found, words = record.get("round_off", {}), []
     if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
-        lines.append(
-            f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from "
-            "u and the "
-            "obstacle"
-        )
+        words.append(f"{found['left']:.1g} of the pressure, because u is large; subtract a constant from u and obstacle")
     if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
-        lines.append(
-            f"  eps is very small: p was computed from the unknown u - obstacle; computed from the saved u and "
-            f"obstacle it would have an error of {found['line']:.1g}"
+        words.append(
+            "eps is very small: p was computed from the unknown u - obstacle; computed from the saved u and obstacle "
+            f"it would have an error of {found['line']:.1g}"
         )
-    return lines
+    return [("round-off", one) for one in words]
 
 
 def _enclosure(record: Mapping[str, Any]) -> list[str]:
@@ -116,8 +123,8 @@ def _effectivity(b: Mapping[str, Any]) -> str:
     return f"{times}, which includes the error of {' and '.join(what)}; the bound does not"
 
 
-def _tolerance(record: Mapping[str, Any]) -> list[str]:
-    """Whether the tolerance was reached, in words."""
+def tolerance_in_words(record: Mapping[str, Any]) -> list[str]:
+    """Whether the tolerance was reached; nothing where there is none."""
     adaptive = record.get("adaptive")
     if adaptive is None:
         return []
@@ -128,13 +135,13 @@ def _tolerance(record: Mapping[str, Any]) -> list[str]:
         if adaptive["reached"]:
             where = f"on mesh {len(adaptive['path'])}"
             but = ", but by an estimate that is not settled" if "not settled" in record["goal"]["words"] else ""
-            return [f"  the {goal} is reached{but}, {where}; eps and meshes were chosen for it"]
+            return [f"the {goal} is reached{but}, {where}; eps and meshes were chosen for it"]
     elif adaptive["reached"]:
         kind, _, what = record["bound"]["words"].partition(":")[0].partition("certified")
         words = ", by an indicator only" if kind else f",{what}" if what else ""
         where = f"on mesh {len(adaptive['path'])}"
-        return [f"  the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
-    return [f"  THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
+        return [f"the {goal} is reached{words}, {where}; eps and meshes were chosen for it"]
+    return [f"THE {goal.upper()} IS NOT REACHED: {adaptive['stopped']}"]
 
 
 def main_values(r: Mapping[str, Any]) -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -57,12 +58,12 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     """Its parts: name and lines of each."""
     text = filled(
         "explain.txt", scene=scene, integrals=integrals(scene), terms=_terms(scene),
-        without=[effect.key for effect in scene.effects if not _has_form(effect)], moving=_moving(scene),
-        equation=_equation(scene), loads=lambda number: _loads(scene, number), components=_components, where=_where,
+        without=dict.fromkeys(effect.key for effect in scene.effects if not _has_form(effect)), moving=_moving(scene),
+        equation=_equation(scene), sum_of=_sum, loads=lambda number: _loads(scene, number), components=_components, where=_where,
         point=_point, part_place=part_place, free=_free(scene), elastic=scene.model.elastic.key.replace("_", " "),
         mesh=_mesh(scene), size=_size(scene), method_words=_method(scene), linear_solver=_linear_solver(scene),
         pressed=any(getattr(effect, "force", None) for effect in scene.effects),
-        orders=_orders(scene), counts_nodes=any(map(_counts_nodes, scene.report.values())),
+        orders=_orders(scene), counts_nodes=not scene.model.radial and any(map(_counts_nodes, scene.report.values())),
         not_included=_not_included(scene),
     )  # fmt: skip
     parts = []
@@ -87,7 +88,14 @@ def _equation(scene: Scene) -> str:
     left = [effect.equation for effect in inside if not effect.term.startswith("-")]
     right = [effect.equation for effect in inside if effect.term.startswith("-")]
     contact = ["p"] if scene.sides and not scene.model.thin and not scene.model.vector_valued else []
-    return f"{' + '.join(left).replace('+ -', '- ')} = {' + '.join(right + contact) or '0'}"
+    return f"{_sum(left)} = {_sum(right + contact) or '0'}"
+
+
+def _sum(terms: Sequence[str]) -> str:
+    """Terms with their signs, which each of them may begin with."""
+    signed = (f" - {term[1:].lstrip()}" if term.startswith("-") else f" + {term}" for term in terms)
+    found = "".join(signed)
+    return f"-{found[3:]}" if found.startswith(" - ") else found[3:]
 
 
 def _terms(scene: Scene) -> str:
@@ -163,7 +171,7 @@ def _size(scene: Scene) -> str:
     unknowns = shape.vertices(degree * 2.0**scene.tables.mesh.refine)
     more = 1.0 if all(map(of_model_problem, scene.effects)) else OTHERS
     megabytes = max(unknowns * more * BYTES_PER_VERTEX[dim] / 1e6, 1.0)
-    return f"about {unknowns:.4g} unknowns, {megabytes:.3g} MB in addition to the libraries"
+    return f"about {float(f'{unknowns:.4g}'):.0f} unknowns, {megabytes:.3g} MB in addition to the libraries"
 
 
 def _method(scene: Scene) -> str:

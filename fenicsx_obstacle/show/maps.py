@@ -163,7 +163,8 @@ def _draw_shares(page: Any, axes: Any, shares: np.ndarray, arrays: Mapping[str, 
     from matplotlib.colors import LogNorm
 
     cells, (x, y, z) = arrays["cells"], arrays["points"].T
-    low = shares.max() / 10**DECADES
+    low, pieces = shares.max() / 10**DECADES, len(cells) // len(shares)
+    shares = np.repeat(shares, pieces)  # cells of quadratic elements are drawn in pieces
     if cells.shape[1] == 2:
         order = np.argsort(x[cells].min(axis=1))
         edges = np.append(x[cells[order]].min(axis=1), x.max())
@@ -177,7 +178,7 @@ def _draw_shares(page: Any, axes: Any, shares: np.ndarray, arrays: Mapping[str, 
         across, height = (values[cells].mean(axis=1) for values in (x, z))
         count = max(round((len(cells) / 6) ** (1 / 3)), 1)
         ends = [(values.min(), values.max()) for values in (x, z)]
-        summed, left, below = np.histogram2d(across, height, bins=count, range=ends, weights=shares)
+        summed, left, below = np.histogram2d(across, height, bins=count, range=ends, weights=shares / pieces)
         label, up = "share in the bound, summed along y", "z"
         norm = LogNorm(summed.max() / 10**DECADES, summed.max(), clip=True)
         drawn = axes.pcolormesh(left, below, summed.T, norm=norm, cmap="viridis")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, formulas_at, moments_of, profiles_of
+from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, formulas_at, in_space, moments_of, profiles_of
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
@@ -33,6 +33,7 @@ from fenicsx_obstacle.show.figures import (
 )
 from fenicsx_obstacle.text import counted, short
 
+NEARBY = 5  # ranges of u: farther obstacles are not drawn, or u would be flat
 TOUCHING = 1e-6  # of the largest pressure: where it is less there is no contact
 LISTED = 8  # curves with a name each; of more the first and the last are named
 
@@ -46,8 +47,8 @@ def draw_profiles(answer: Answer, folder: Path) -> dict[str, Path]:
     drawn = {name: folder / f"profile-{name}.png" for name in answer.scene.tables.profile}
     moment = answer.shown.title.removeprefix(answer.title)
     for name, profile in profiles_of(answer).items():
-        moments, sizes = moments_of(answer, profile, of_profile(answer.scene, name)), _sizes(answer.shown)
-        on_root(answer.level.comm, _write, answer, profile, moments, name + moment, sizes, drawn[name])
+        moments, around = moments_of(answer, profile, of_profile(answer.scene, name)), _around(answer.shown, profile)
+        on_root(answer.level.comm, _write, answer, profile, moments, name + moment, around, drawn[name])
     return drawn
 
 
@@ -79,21 +80,20 @@ def draw_line(
         raise InputError(f"--along: the point ({where}) is outside the mesh")
     t = answer.record["time"]["t"] if "time" in answer.record else None
     profile = replace(profile, formulas=formulas_at(answer.scene, profile.points, given, t))
-    moments, sizes = moments_of(answer, profile, given), _sizes(answer)
-    on_root(answer.level.comm, _write, answer, profile, moments, answer.title, sizes, path)
+    moments, around = moments_of(answer, profile, given), _around(answer, profile)
+    on_root(answer.level.comm, _write, answer, profile, moments, answer.title, around, path)
     return f"{path} and {path.with_suffix('.csv')}: {counted(len(profile.s), 'point')}"
 
 
 def _write(
-    answer: Answer, profile: Profile, moments: Sequence[tuple[float, Profile]], title: str, sizes: tuple[float, float],
-    path: Path,
+    answer: Answer, profile: Profile, moments: Sequence[tuple[float, Profile]], title: str, around: _Around, path: Path
 ) -> None:  # fmt: skip
     """The picture of a profile, or of it at some moments, and its table beside it."""
     columns = [(f"{t:.12g}", as_columns(one)) for t, one in moments] or [("", as_columns(profile))]
     write_text(path.with_suffix(".csv"), as_csv([({"t": t} if t else {}, one) for t, one in columns]))
     name = "" if answer.scene.time is None else answer.scene.time.name
     curves = {f"{name} = {float(t):.4g}" if t else "": one for t, one in columns}
-    save(_drawn(curves, answer.symbol, title, sizes), path)
+    save(_drawn(curves, answer.symbol, title, around), path)
 
 
 def draw_rows(
@@ -116,15 +116,34 @@ def draw_rows(
     return drawn
 
 
-def _sizes(answer: Answer) -> tuple[float, float]:
-    """The largest abs(u) and abs(p) anywhere: along a line they may be round-off (collective)."""
-    comm, fields = answer.level.comm, (answer.u, answer.pressure)
-    u, p = (largest(comm, np.abs(field.x.array)) for field in fields)
-    return u, p
+@dataclass(frozen=True)
+class _Around:
+    """What is known beside the columns of a single curve.
+
+    Attributes:
+        u: The largest abs(u) anywhere: along a line it may be round-off.
+        p: The largest abs(p) anywhere.
+        obstacles: Of a scalar u, the obstacles along the line.
+        touching: Of a scalar u, whether there is contact at each point.
+    """
+
+    u: float = 0.0
+    p: float = 0.0
+    obstacles: Sequence[np.ndarray] = ()
+    touching: np.ndarray | None = None
+
+
+def _around(answer: Answer, profile: Profile) -> _Around:
+    """What is around a profile of an answer (collective)."""
+    comm, fields, points = answer.level.comm, answer.fields, in_space(profile.points)
+    u, p = (largest(comm, np.abs(field.x.array)) for field in (answer.u, answer.pressure))
+    if answer.scene.model.vector_valued:
+        return _Around(u, p)
+    return _Around(u, p, fields.obstacles_at(points), fields.touches_at(points))
 
 
 def _drawn(
-    curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, sizes: tuple[float, float] = (0.0, 0.0)
+    curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, around: _Around = _Around()
 ) -> Any:
     """u above and the pressure below, over the distance along the line; of bodies a panel for each component of u, and
     on the contact boundary gap and pressure, elsewhere the von Mises stress.
@@ -133,7 +152,7 @@ def _drawn(
         curves: Columns of each curve by its label.
         u: The label of u.
         title: Of the page.
-        sizes: The largest abs(u) and abs(p) anywhere.
+        around: Of a single curve, what is known beside its columns.
     """
     first, several = next(iter(curves.values())), len(curves) > 1
     of_body = "u" not in first
@@ -146,16 +165,17 @@ def _drawn(
     for axes, key in zip(panels, keys, strict=True):
         for number, (label, columns) in enumerate(curves.items()):
             s, values, look = _column(columns, "s"), _column(columns, key), _look(number, len(curves), label)
-            values = steady(values, 0.0 if key == "von_mises" else sizes[key == "p"])
+            values = steady(values, 0.0 if key == "von_mises" else around.p if key == "p" else around.u)
             if key == "p" and of_body:
                 values = np.where(np.isnan(_column(columns, "gap")), np.nan, values)
             axes.plot(s, values, **({**look, "color": VERMILION} if key == "p" and not several else look))
             _formula(axes, columns, key, look if several else None)
             if key == "u" and not several:
-                _obstacle(axes, columns, sizes)
+                _obstacles(axes, s, values, around)
             if shaded:
                 p = np.nan_to_num(_column(columns, "p"))
-                _shade(axes, s, np.maximum(p, 0.0) if of_body else steady(p, sizes[1]), sizes[1])
+                touching = p > TOUCHING * max(around.p, p.max(initial=0.0)) if of_body else around.touching
+                _shade(axes, s, touching)
         axes.set_ylabel(labels.get(key, f"{key}\n{fill(plain(u), 24)}"))
         axes.grid(True, color=GRID)
         axes.margins(x=0)
@@ -170,13 +190,16 @@ def _column(columns: Mapping[str, Sequence[float]], key: str) -> np.ndarray:
     return np.array(columns[key], dtype=float)
 
 
-def _obstacle(axes: Any, columns: Mapping[str, Sequence[float]], sizes: tuple[float, float]) -> None:
-    """The obstacle nearest to a curve of u, if there is one."""
-    u, p, gap = (_column(columns, key) for key in ("u", "p", "gap"))
-    if np.isfinite(gap).all():
-        side = -1.0 if p.max(initial=0.0) >= -p.min(initial=0.0) else 1.0
-        edge = steady(steady(u, sizes[0]) + side * gap, sizes[0])
-        axes.plot(columns["s"], edge, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label="obstacle")
+def _obstacles(axes: Any, s: np.ndarray, u: np.ndarray, around: _Around) -> None:
+    """The obstacles of a curve of u, where there are any that are not far."""
+    reach = NEARBY * np.ptp(u) or np.inf
+    for one in around.obstacles:
+        near = np.isfinite(one) & (np.abs(one - u) <= reach)
+        if not near.any():
+            continue
+        edge = steady(np.where(near, one, np.nan), around.u)
+        label = "_" if axes.get_legend() else "obstacle"
+        axes.plot(s, edge, color="0.45", linewidth=1.0, linestyle=(0, (4, 2)), label=label)
         axes.legend(fontsize=8, **ABOVE)
 
 
@@ -190,9 +213,10 @@ def _formula(axes: Any, columns: Mapping[str, Sequence[float]], key: str, look: 
         axes.legend(fontsize=8, **ABOVE)
 
 
-def _shade(axes: Any, s: np.ndarray, p: np.ndarray, size: float) -> None:
+def _shade(axes: Any, s: np.ndarray, touching: np.ndarray | None) -> None:
     """Shade where there is contact."""
-    touching = np.abs(p) > TOUCHING * np.abs(p).max(initial=size)
+    if touching is None:
+        return
     for run in np.ma.clump_unmasked(np.ma.masked_where(~touching, s)):
         axes.axvspan(s[run][0], s[run][-1], color=BLUE, alpha=0.12, linewidth=0)
 

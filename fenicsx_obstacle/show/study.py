@@ -10,6 +10,7 @@ from textwrap import fill
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.origin import command
 from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.problems.summary import remarks_in_words
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.profiles import draw_rows
@@ -44,6 +45,8 @@ def report_study(study: Study, folder: Path, say: Say, *, fresh: bool = False, l
     if isinstance(study, Find):
         words = f"{study.quantity} = {study.reached(rows[-1]):.6g}, the target is {study.target:g}"
         say(f"{study.key} = {study.found:.6g}: {words}; {counted(len(rows), 'solve')}")
+        for name, remark in remarks_in_words(rows[-1]):
+            say(f"{name}: {remark}")
     return rows
 
 

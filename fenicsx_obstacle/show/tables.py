@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from fenicsx_obstacle.problems.summary import lookup, with_uncertainty
+from fenicsx_obstacle.problems.summary import lookup, remarks_in_words, with_uncertainty
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.studies.orders import Vary, along, figures_of, last_part, line_of, order, parameter, quantities
 from fenicsx_obstacle.text import columns, counted, short
@@ -53,6 +54,8 @@ class StudyTable:
         self._widths = {key: max(len(short(value)) for value in values) for key, values in vary.items()}
         self.rows: list[list[Cell]] = []
         self._measured: list[Any] | None = None
+        self._earlier = False  # whether a row was timed in an earlier run
+        self._remarks: dict[str, list[str]] = {}  # by their words without numbers: each with the row that it is of
         self._last: dict[str, Mapping[str, Any]] = {}  # the last row on each line of the grid
 
     def lines(self, row: Mapping[str, Any]) -> list[str]:
@@ -60,15 +63,21 @@ class StudyTable:
         cells = list(self._cells(row))
         heads = not self.rows
         self.rows.append(cells)
+        of = ", ".join(f"{key} = {short(row['vary'][key])}" for key in self.varied)
+        for name, words in remarks_in_words(row):
+            self._remarks.setdefault(re.sub(r"[\d.]+", "", words), []).append(f"{of or 'the row'}: {name}: {words}")
         widths = [max(len(cell.head), len(cell.value), cell.width) for cell in self.rows[0]]
         lines = [[cell.head for cell in cells], [cell.expected for cell in cells]] if heads else []
         return [_line(parts, widths) for parts in [*lines, [cell.value for cell in cells]] if any(parts)]
 
     def notes(self) -> list[str]:
-        """Notes about the columns."""
+        """Notes about the columns, and what should be known of rows: of remarks of one kind the first."""
         orders = any(cell.head == "order" for cell in self.rows[0])
-        earlier = any("*" in cell.value for cells in self.rows for cell in cells)
-        return [_LEGEND, *[_ORDERS] * orders, *[_EARLIER] * earlier]
+        remarks = [
+            first + (f"; likewise {counted(len(others), 'further row')}" if others else "")
+            for first, *others in self._remarks.values()
+        ]
+        return [_LEGEND, *[_ORDERS] * orders, *[_EARLIER] * self._earlier, *remarks]
 
     def _cells(self, row: Mapping[str, Any]) -> Iterator[Cell]:
         if self._measured is None:
@@ -93,8 +102,9 @@ class StudyTable:
                 yield Cell("order", f"{quantity.order:g}", "" if seen is None else f"{seen:.2f}")
         for key, label, form in _COST:
             value = lookup(row, key)
-            earlier = "*" if label == "seconds" and self.run is not None and row.get("run") != self.run else ""
-            yield Cell(label, "", "" if value is None else format(value, form) + earlier)
+            earlier = label == "seconds" and self.run is not None and row.get("run") != self.run
+            self._earlier |= earlier
+            yield Cell(label, "", "" if value is None else format(value, form) + "*" * earlier)
         self._last[line] = row
 
     def latex(self) -> str:

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 FOLDER = Path(__file__).with_name("templates")
-FUNCTIONS = (counted, patches_in_words, plain, vector_in_words, with_error, summary.report_in_words,
-             summary.with_uncertainty)  # fmt: skip
+FUNCTIONS = (counted, patches_in_words, plain, vector_in_words, with_error, summary.peclet_in_words,
+             summary.remarks_in_words, summary.report_in_words, summary.steps_in_words, summary.time_in_words,
+             summary.tolerance_in_words, summary.with_uncertainty)  # fmt: skip
 
 
 def filled(name: str, **values: Any) -> str:

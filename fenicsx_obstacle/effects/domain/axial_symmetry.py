@@ -32,4 +32,7 @@ class AxialSymmetry(Effect):
         return cls()
 
     def __str__(self) -> str:
-        return "true: x is the distance from the axis, the weight of every integral; areas and forces are per radian"
+        return (
+            "true: x is the distance from the axis, the weight of every integral of the equation, but not of those in "
+            "[report]; areas and forces are per radian"
+        )
