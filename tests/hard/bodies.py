@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -18,7 +17,7 @@ from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
+from tests.hard.row import FLOOR, Row, asked, judged_row, refused
 
 SOLVED = 1e-8  # relative: how far solves are from the discrete solution
 UNIT = "unit"  # name under [define] of the factor of all stiffnesses and loads, 1 in MPa
@@ -74,13 +73,10 @@ def judge_body(
                 try:
                     number = eps * scale if isinstance(eps, float) and scale else eps
                     one = context.answer(asked(scene, method, number))
-                except NotConverged as error:
-                    yield row_of(scene, method, eps, FAILED, start, message=str(error))
-                    continue
-                except InputError as error:
-                    if refuse or FLOOR not in str(error):
+                except (InputError, NotConverged) as error:
+                    if isinstance(error, InputError) and (refuse or FLOOR not in str(error)):
                         raise
-                    yield row_of(scene, method, eps, REJECTED, start, message=str(error))
+                    yield refused(scene, method, eps, start, error)
                     continue
                 found.append(one)
                 checked = context.body.verify(one)
@@ -88,8 +84,7 @@ def judge_body(
                 findings += _beside(context, one, found[0]) if found[0] is not one else []
                 yield _verdict(scene, method, eps, start, one, findings, refuse, off=_off(one, found[0]))
     except InputError as error:
-        expected = bool(refuse) and refuse in str(error)
-        yield row_of(scene, "", None, REJECTED if expected else FAILED, start, message=str(error))
+        yield refused(scene, "", None, start, error, refuse)
         return
     if units and UNIT in scene.tables.define and found:
         start, other = time.perf_counter(), scene.change({f"define.{UNIT}": PASCALS})
@@ -102,8 +97,7 @@ def _verdict(
     scene: Scene, method: str, eps: float | str | None, start: float, one: Answer, findings: Sequence[Finding],
     refuse: str, *, off: float | None = None, trial: str = "",
 ) -> Row:  # fmt: skip
-    digits: dict[str, Any] = {"off": off, "from_heights": None, "line": None, "left": None}
-    record = {**one.record, "monotone": None, "digits": digits}
+    record = {**one.record, "monotone": None, "digits": {"off": off}}
     return judged_row(scene, method, eps, start, record, findings, trial, refuse)
 
 
