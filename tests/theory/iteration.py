@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.newton import solve_penalty
+from fenicsx_obstacle.algebra.solve_system import MatrixSystem
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -21,17 +22,8 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.theory.samples import Small, sample
-from tests.theory.statement import (
-    Curve,
-    Finding,
-    Found,
-    Panel,
-    check,
-    constant,
-    rate,
-    statement,
-)
+from tests.theory.samples import sample
+from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, statement
 
 WHERE = "(3.4)*"
 CELLS = (16, 32, 64, 128)
@@ -136,14 +128,34 @@ def _sheared(comm: MPI.Comm) -> Scene:
     return Scene(**{**shape, "mesh": mesh}, load=4, upper=0.05)
 
 
+class Small(MatrixSystem):
+    """A u + (u - g)^+ / eps = b of a few unknowns, with g = 0; every rank solves the whole of it.
+
+    Attributes:
+        met: The active sets for which a linear system was asked for, in their order.
+    """
+
+    def __init__(self, A: np.ndarray, b: np.ndarray):
+        n = len(b)
+        matrix = PETSc.Mat().createDense((n, n), array=A, comm=MPI.COMM_SELF).convert("aij")
+        super().__init__(matrix, b, lower=None, upper=np.zeros(n), weights=np.ones(n), fixed=np.zeros(n, dtype=bool),
+                         given=np.zeros(n))  # fmt: skip
+        self.met: list[tuple[bool, ...]] = []
+
+    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
+        A = super().jacobian(x, penalised=penalised)
+        self.met.append(tuple((self.w > 0).tolist()))
+        return A
+
+
 def cycle() -> list[Finding]:
     """Three unknowns for which full steps have period 3; the line search on the energy ends it."""
-    problem: Any = Small(CYCLE, CYCLE_LOAD)
+    A, b = np.array(CYCLE), np.array(CYCLE_LOAD)
+    problem = Small(A, b)
     with defaults("penalty_", DENSE):
         outcome = solve_penalty(problem, CYCLE_EPS, successive=True)
     period = problem.met.index(problem.met[0], 1)
-    w = problem.w
-    left = np.abs(problem.matrix @ w + np.maximum(w, 0) / CYCLE_EPS - problem.b).max()
+    left = np.abs(A @ problem.w + np.maximum(problem.w, 0) / CYCLE_EPS - b).max()
     return [
         constant(WHERE, "period of full steps on three unknowns, no M-matrix", "finite", 3, period,
                  "needs hypothesis"),

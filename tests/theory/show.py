@@ -131,8 +131,6 @@ def _panel(axes: Any, panel: Panel) -> None:
     axes.set_yscale(panel.scales[1])
     for number, curve in enumerate(panel.curves):
         look = style(number, dashed=4)
-        if not curve.line:
-            look["linestyle"] = ""
         axes.plot(curve.x, curve.y, label=curve.label, **look)
         if curve.slope is not None:
             _slope(axes, curve, look["color"])
