@@ -86,14 +86,18 @@ class Units:
         changes |= {f"define.{key}": self._old(value) for key, value in tables.get("define", {}).items()}
         dim = {"interval": 1, "box": 3}.get(mesh.get("shape", ""), 2)
         given = tables.get("effects", {})
-        changes["effects"] = {key: CONVERSIONS[key](value, self, dim) for key, value in given.items()}
+        changes["effects"] = {key: self._datum(key, value, dim) for key, value in given.items()}
         changes |= {f"obstacle.{key}": self.height_of(value) for key, value in obstacle.items()}
         new = {"value": self.height_of, "lower": self.height_of, "upper": self.height_of, "where": self._old}
         acting = {effect.key for effect in scene.effects if isinstance(effect, OnPart)}
-        new |= {key: partial(CONVERSIONS[key], units=self, dim=dim) for key in acting}
+        new |= {key: partial(self._datum, key, dim=dim) for key in acting}
         parts = tables.get("boundary", ())
         changes["boundary"] = [{k: new[k](v) if k in new else v for k, v in part.items()} for part in parts]
         return scene.change({**changes, "exact": None, "report": {}})
+
+    def _datum(self, key: str, raw: Any, dim: int) -> Any:
+        """The entry of an effect in a scene."""
+        return CONVERSIONS[key](raw, self, dim)
 
     def scaled(self, value: Any, factor: float) -> Any:
         """A number or a formula times a factor, at the same places; or each of those in a list or a table."""
