@@ -20,9 +20,8 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.scenes import meshes
+from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.theory.samples import sample
 from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, statement
 
 WHERE = "(3.4)*"
@@ -50,7 +49,7 @@ def entered(history: Sequence[Step]) -> int:
 
 def linear_step(comm: MPI.Comm) -> list[Finding]:
     """The second step from no contact solves (A + chi D/eps) u = f + chi D g/eps, chi where the first is beyond g."""
-    with closing(SolverContext(sample("disk", 32), comm)) as context:
+    with closing(SolverContext(catalogue.scene("disk_flat", {"mesh.cells": 32}), comm)) as context:
         problem = context.problem
         problem.eps = 1e-4
         x = problem.vector()
@@ -97,8 +96,8 @@ def _excess(problem: Problem, x: PETSc.Vec) -> np.ndarray:
 
 def nesting(comm: MPI.Comm) -> list[Finding]:
     """Nodes that enter after the first step, in all runs on M-matrices; and a mesh that gives none."""
-    right = sample("disk", 32)
-    crossed, string = right.change({"mesh.diagonal": "crossed"}), sample("string", 64)
+    right = catalogue.scene("disk_flat", {"mesh.cells": 32})
+    crossed, string = right.change({"mesh.diagonal": "crossed"}), catalogue.scene("string_parabola", {"mesh.cells": 64})
     runs = [answer for scene in (right, crossed, string) for answer in _runs(scene, comm)]
     found = [check(
         WHERE, "nodes that enter after the first step: 3 meshes, eps = 1e-2, 1e-6, 1e-10", "sets decrease",
@@ -165,7 +164,7 @@ def cycle() -> list[Finding]:
 
 def counts(comm: MPI.Comm, sides: Sequence[int] = CELLS) -> tuple[list[Finding], list[Panel]]:
     """Steps from three starts, over N."""
-    rows = [_counted(sample("disk", cells), comm) for cells in sides]
+    rows = [_counted(catalogue.scene("disk_flat", {"mesh.cells": cells}), comm) for cells in sides]
     cold, nested, continued = ([row[start, SMALL] for row in rows] for start in (COLD, NESTED, FALLING))
     findings = [
         # the last step only finds that nothing changes

@@ -15,8 +15,8 @@ from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.theory.samples import sample
 from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, statement
 
 EPS = tuple(10.0**-k for k in range(1, 11))
@@ -67,10 +67,12 @@ def approach(scene: Scene, comm: MPI.Comm, epsilons: Sequence[float] = EPS) -> A
 @statement("3.1", "u_eps and p_eps converge to u_h and p_h as eps tends to 0, with computable bounds", "3.2")
 def limits(comm: MPI.Comm) -> Found:
     """Down to eps = 1e-10, on M-matrix meshes, and where there is nothing, or everything, to touch (collective)."""
-    crossed = sample("disk", 16).change({"mesh.diagonal": "crossed"})
-    scenes = {"ceiling": sample("disk", 32), "ceiling, crossed": crossed, "ball": sample("ball", 16),
-              "string": sample("string", 64)}  # fmt: skip
-    seen = {name: approach(scene, comm) for name, scene in scenes.items()}
+    scenes: dict[str, tuple[str, dict[str, Any]]] = {
+        "ceiling": ("disk_flat", {"mesh.cells": 32}),
+        "ceiling, crossed": ("disk_flat", {"mesh.cells": 16, "mesh.diagonal": "crossed"}),
+        "ball": ("ball", {"mesh.cells": 16}), "string": ("string_parabola", {"mesh.cells": 64}),
+    }  # fmt: skip
+    seen = {name: approach(catalogue.scene(*of), comm) for name, of in scenes.items()}
     return Found([*_limits(list(seen.values())), *_bounds(list(seen.values())), *extremes(comm)], _panels(seen))
 
 
