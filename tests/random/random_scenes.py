@@ -17,7 +17,7 @@ from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.judge import judge
 from tests.hard.row import FAILED, RIGHT
 from tests.random.families.all_families import KNOWN
-from tests.random.families.family import Family, Judgement, toml
+from tests.random.families.family import Family, Judgement
 from tests.random.families.meshes import skewed
 from tests.random.families.strategies import DIAGONALS, power
 
@@ -68,11 +68,8 @@ class Drawn(Family):
             judgement.answers += row["verdict"] == RIGHT
             judgement.rejected += not failed and row["verdict"] != RIGHT
 
-    def text(self) -> str:
-        asked = f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"
-        if self.skew is None:
-            return toml(self.scene(), asked)
-        return f"from tests.random.random_scenes import Drawn\n{self!r}.scene()  # {asked}"
+    def asked(self) -> str:
+        return f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"
 
 
 @st.composite
