@@ -80,9 +80,13 @@ def judge_body(
                     continue
                 found.append(one)
                 checked = context.body.verify(one)
-                findings = [*checked.findings, *_penetration(one), *_known(one, known)]
+                findings = [*checked.findings, *_penetration(one)]
+                findings += [Finding(f"known: {name}", "equilibrium", abs(float(one.record["report"][name])), limit)
+                             for name, limit in known.items()]  # fmt: skip
                 findings += _beside(context, one, found[0]) if found[0] is not one else []
-                yield _verdict(scene, method, eps, start, one, findings, refuse, off=_off(one, found[0]))
+                p, exact = one.nodes.pressure, found[0].nodes.pressure
+                off = np.abs(p - exact).max(initial=0.0) / max(np.abs(exact).max(initial=0.0), 1e-300)
+                yield _verdict(scene, method, eps, start, one, findings, refuse, off=float(off))
     except InputError as error:
         yield refused(scene, "", None, start, error, refuse)
         return
@@ -111,11 +115,6 @@ def _penetration(one: Answer) -> list[Finding]:
     return [Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin)]
 
 
-def _known(one: Answer, known: Mapping[str, float]) -> list[Finding]:
-    report = one.record.get("report", {})
-    return [Finding(f"known: {name}", "equilibrium", abs(float(report[name])), limit) for name, limit in known.items()]
-
-
 def _beside(context: BodyContext, one: Answer, exact: Answer) -> list[Finding]:
     """The penalty and the variational inequality: a(e, e) <= eps/4 sum p_i^2 D_i, and the size of the pressure."""
     eps = one.eps
@@ -128,11 +127,6 @@ def _beside(context: BodyContext, one: Answer, exact: Answer) -> list[Finding]:
         Finding("penalty and inequality: size of the pressure", "Thm 3.2", float(np.sqrt(_work(one))),
                 float(np.sqrt(_work(exact))) * (1 + SOLVED)),
     ]  # fmt: skip
-
-
-def _off(one: Answer, exact: Answer) -> float:
-    most = float(np.abs(exact.nodes.pressure).max(initial=0.0))
-    return float(np.abs(one.nodes.pressure - exact.nodes.pressure).max(initial=0.0)) / max(most, 1e-300)
 
 
 def _in_pascals(before: Answer, one: Answer) -> list[Finding]:
