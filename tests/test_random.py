@@ -21,10 +21,10 @@ from tests.random.own_forms import judged as judged_form
 from tests.random.show import HEADS, show_random, table
 
 OF_EACH = {1: 2}  # on more ranks 1
-# families that have scenes of many kinds, or whose scenes take long, and three of which a later scene is the first with
+# families that have scenes of many kinds, or whose scenes take long, and two of which a later scene is the first with
 # a bound that is near its error
 OTHERS = {"admissible": 12 if COMM.size == 1 else 6, "tetrahedra": 1, "supported": 1, "touching": 1, "anisotropic": 1,
-          "sectors": 3, "close obstacles": 3, "inclusion": 4}  # fmt: skip
+          "sectors": 3, "close obstacles": 3}  # fmt: skip
 NEAR = 20  # bounds over true errors: of each family one is below
 ON_RANKS = ("admissible", "layers", "touching", "obstacle alone", "drift from a point")  # run on several ranks
 
