@@ -306,7 +306,7 @@ def theory(number: str | None, output: Path, json_file: str | None, quiet: bool)
 @click.option("--broken", is_flag=True, help="Instead: invalid input of every kind, and its messages.")
 @click.option("--faults", is_flag=True, help="Instead: killed processes, full disks, problems without solution.")
 @click.option("--output", type=Place(), default=Path("out/hard"), metavar="DIR",
-              help="Folder for pictures and JSON lines.  [out/hard]")  # fmt: skip
+              help="Folder for JSON lines and tables.  [out/hard]")  # fmt: skip
 @options("seed", "json", "quiet", "log")
 def hard(
     name: str | None, count: int | None, truths: bool, seed: int | None, broken: bool, faults: bool, output: Path,

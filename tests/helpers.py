@@ -20,7 +20,6 @@ from petsc4py import PETSc
 from fenicsx_obstacle import ObstacleProblem, __main__, releases
 from fenicsx_obstacle.checkout import ROOT
 from fenicsx_obstacle.launcher import mpirun
-from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, COMM
 
@@ -83,22 +82,8 @@ def cut(points: Any, cells: Any, along: np.ndarray, beyond: np.ndarray) -> tuple
     return np.vstack([points, points[twice]]), np.where(beyond[:, None], other[cells], cells)
 
 
-WIRE = """SetFactory("Built-in");
-Point(1) = {0, 0, 0, 0.2}; Point(2) = {0.5, 0, 0, 0.2}; Point(3) = {1, 0, 0, 0.2};
-Point(4) = {1, 1, 0, 0.2}; Point(5) = {0.5, 1, 0, 0.2}; Point(6) = {0, 1, 0, 0.2};
-Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 5}; Line(5) = {5, 6}; Line(6) = {6, 1};
-Line(7) = {2, 5};
-Curve Loop(1) = {1, 7, 5, 6}; Curve Loop(2) = {2, 3, 4, -7};
-Plane Surface(1) = {1}; Plane Surface(2) = {2};
-Physical Curve("sides") = {3, 6}; Physical Curve("wire") = {7};
-Physical Surface("film") = {1, 2};
-"""
-
-
-def square_with_a_wire(folder: Path) -> str:
-    """A file of a unit square with the parts "sides", left and right, and "wire", along x = 1/2 (collective)."""
-    on_root(COMM, (folder / "wire.geo").write_text, WIRE)
-    return str(folder / "wire.geo")
+# a unit square with the parts "sides", left and right, "ends", bottom and top, and "wire", along x = 1/2
+WIRE = str(ROOT / "tests/hard/scenes/wire.geo")
 
 
 def outline(V: fem.FunctionSpace) -> np.ndarray:

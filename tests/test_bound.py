@@ -15,7 +15,7 @@ from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM, ON_SEVERAL_RANKS, membrane, slow_except
-from tests.helpers import square_with_a_wire
+from tests.helpers import WIRE
 
 SQUARE = {"shape": "rectangle", "cells": 16}
 ROUND_OFF = 1e-12
@@ -209,10 +209,10 @@ def test_units_and_heights_change_nothing():
     assert np.isclose(plain.total, high.total, rtol=1e-6)
 
 
-def test_held_curves_inside(folder):
+def test_held_curves_inside():
     """Where u is given on a curve inside the domain the flux may jump."""
     u = "abs(sin(2*pi*x))*sin(pi*y)"
-    scene = Scene(mesh={"file": square_with_a_wire(folder), "refine": 2}, tension=1, load=f"5*pi^2*{u}", exact=u,
+    scene = Scene(mesh={"file": WIRE, "refine": 2}, tension=1, load=f"5*pi^2*{u}", exact=u,
                   boundary=[{"value": 0}, {"on": "wire", "value": 0}])  # fmt: skip
     answer = solve(scene, bound=True)
     assert answer.bound.guaranteed and answer.errors.energy <= answer.bound.total <= 2 * answer.errors.energy

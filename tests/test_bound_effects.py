@@ -13,7 +13,7 @@ from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM, membrane
-from tests.helpers import square_with_a_wire
+from tests.helpers import WIRE
 
 OVER = "max(0.8*x + 0.6*y - 0.45, 0)"
 CONTACT = f"{OVER}^2/2"
@@ -137,10 +137,10 @@ def test_foundations_of_any_stiffness(stiff):
 
 
 @pytest.mark.slow
-def test_load_and_springs_along_a_curve_inside(folder):
+def test_load_and_springs_along_a_curve_inside():
     """A wire across a square, [du/dn] = 3 - 4 u: certified, above the error and near it."""
     parts = [{"on": "sides", "value": 0}, {"on": "wire", "flux": 3, "spring": 4}]
-    answer = solve(Scene(mesh={"file": square_with_a_wire(folder)}, tension=1, load=2, boundary=parts,
+    answer = solve(Scene(mesh={"file": WIRE}, tension=1, load=2, boundary=parts,
                          exact="where(x < 0.5, x, 1 - x)/2 + x*(1 - x)"), bound=True)  # fmt: skip
     assert answer.bound.guaranteed
     assert answer.record["errors"]["energy"] <= answer.bound.total <= 2 * answer.record["errors"]["energy"]

@@ -14,7 +14,7 @@ from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
-from tests.helpers import run, square_with_a_wire
+from tests.helpers import WIRE, run
 
 # a pressure on a disk of contact: with it in the load any smooth u is the solution above a lower obstacle
 PRESSURE = "10*max(1 - hypot(x - 0.5, y - 0.5)^2/0.0625, 0)"
@@ -193,9 +193,9 @@ def test_a_node_of_two_obstacles_has_the_nearer_one(sign):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
-def test_wire_below_a_membrane(method, folder):
+def test_wire_below_a_membrane(method):
     """A thin obstacle along a curve inside: u = x^2/2 - 0.35 x up to it, its force 0.3 per length."""
-    scene = Scene(mesh={"file": square_with_a_wire(folder), "refine": 2}, tension=1, load=-1,
+    scene = Scene(mesh={"file": WIRE, "refine": 2}, tension=1, load=-1,
                   boundary=[{"on": "sides", "value": 0}, {"on": "wire", "lower": -0.05}],
                   exact="min(x, 1 - x)^2/2 - 0.35*min(x, 1 - x)")  # fmt: skip
     record = solve(scene, method=method).record

@@ -208,12 +208,12 @@ def test_verdicts_of_what_goes_wrong():
 @pytest.mark.serial
 @pytest.mark.slow
 def test_command(tmp_path):
-    """One scene in its processes on 1, 2 and 3 ranks: table, lines, pictures; a process that dies has failed."""
+    """One scene in its processes on 1, 2 and 3 ranks: table and lines; a process that dies has failed."""
     command = [sys.executable, "-m", "fenicsx_obstacle", "hard", "torsion_3", "--output", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, env=CLEAN, timeout=180, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "1 scene, 62 answers: 62 right, 0 rejected, 0 FAILED" in done.stdout
-    assert {path.name for path in tmp_path.iterdir()} == {"hard.jsonl", "tables.md", "steps.png", "digits.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {"hard.jsonl", "tables.md"}
     assert (tmp_path / "hard.jsonl").read_text().count('"3 ranks"') == 3
     lost = rows_of(Case(name="nonsense", family="none", hard="not there"))
     assert [row["verdict"] for row in lost] == [FAILED]

@@ -13,7 +13,8 @@ from fenicsx_obstacle.discrete import drift as drift_checks
 from fenicsx_obstacle.parallel import largest, smallest
 from tests.conftest import COMM, slow_except
 from tests.hard.unsolvable import Unsolvable, attempt, problems
-from tests.helpers import Membrane, grid, mesh_of
+from tests.helpers import Membrane
+from tests.test_components import APART, union
 
 INTERVAL = {"shape": "interval", "cells": 20}
 SQUARE = {"shape": "rectangle", "cells": 12}
@@ -95,16 +96,9 @@ def test_supports_that_hold_nothing(name, mesh):
         solve(loose(mesh, **{**data, **({"drift": [1]} if "drift" in data and mesh is INTERVAL else {})}))
 
 
-def separate(distance):
-    """Two squares side by side that share nothing."""
-    (points, cells), (others, more) = grid(4, 4), grid(4, 4, ((5 + distance) / 4, 0.0))
-    return mesh_of(np.concatenate([points, others]), np.concatenate([cells, more + len(points)]))
-
-
 def test_each_part_of_a_mesh_is_held():
     """Two separate squares, one of them held at its left side: the other one needs a support of its own."""
-    mesh = separate(0.5)
-    held = {"mesh": mesh, "tension": 1, "load": -1, "boundary": [{"where": "x < 1e-9", "value": 0}]}
+    held = {"mesh": union(*APART["a gap"]), "tension": 1, "load": -1, "boundary": [{"where": "x < 1e-9", "value": 0}]}
     with pytest.raises(InputError, match="nowhere on one of 2 separate parts"):
         solve(Scene(**held))
     low, high = extremes(solve(Scene(**held, lower=-2), method="vi"))

@@ -1,11 +1,12 @@
 """Kikuchi's theorems: each statement as `./obstacle theory` measures it; its numbers, its table, its exit status."""
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from fenicsx_obstacle.cli import commands
 from tests.conftest import COMM
-from tests.theory import show
+from tests.theory import algebra, show
 from tests.theory.show import conclusion
 from tests.theory.statement import Finding, Found, Statement, find, statements
 
@@ -33,6 +34,12 @@ def test_statement(number):
     verdicts = [finding.verdict for finding in findings]
     assert verdicts.count("needs hypothesis") == NEEDS.get(number, 0)
     assert verdicts.count("misprint") == MISPRINTS.get(number, 0)
+
+
+def test_kite_table():
+    """(3.33): .996 .978 .928 .773 .162 for t = .1 .2 .3 .4 .49."""
+    found = [finding.observed for finding in algebra.kites(COMM).findings[1:]]
+    assert np.allclose(found, [0.996, 0.978, 0.928, 0.773, 0.162], atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -18,7 +17,7 @@ from fenicsx_obstacle.check.finding import Finding
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
+from tests.hard.row import FLOOR, Row, asked, judged_row, refused
 
 SOLVED = 1e-8  # relative: how far solves are from the discrete solution
 UNIT = "unit"  # name under [define] of the factor of all stiffnesses and loads, 1 in MPa
@@ -74,22 +73,22 @@ def judge_body(
                 try:
                     number = eps * scale if isinstance(eps, float) and scale else eps
                     one = context.answer(asked(scene, method, number))
-                except NotConverged as error:
-                    yield row_of(scene, method, eps, FAILED, start, message=str(error))
-                    continue
-                except InputError as error:
-                    if refuse or FLOOR not in str(error):
+                except (InputError, NotConverged) as error:
+                    if isinstance(error, InputError) and (refuse or FLOOR not in str(error)):
                         raise
-                    yield row_of(scene, method, eps, REJECTED, start, message=str(error))
+                    yield refused(scene, method, eps, start, error)
                     continue
                 found.append(one)
                 checked = context.body.verify(one)
-                findings = [*checked.findings, *_penetration(one), *_known(one, known)]
+                findings = [*checked.findings, *_penetration(one)]
+                findings += [Finding(f"known: {name}", "equilibrium", abs(float(one.record["report"][name])), limit)
+                             for name, limit in known.items()]  # fmt: skip
                 findings += _beside(context, one, found[0]) if found[0] is not one else []
-                yield _verdict(scene, method, eps, start, one, findings, refuse, off=_off(one, found[0]))
+                p, exact = one.nodes.pressure, found[0].nodes.pressure
+                off = np.abs(p - exact).max(initial=0.0) / max(np.abs(exact).max(initial=0.0), 1e-300)
+                yield _verdict(scene, method, eps, start, one, findings, refuse, off=float(off))
     except InputError as error:
-        expected = bool(refuse) and refuse in str(error)
-        yield row_of(scene, "", None, REJECTED if expected else FAILED, start, message=str(error))
+        yield refused(scene, "", None, start, error, refuse)
         return
     if units and UNIT in scene.tables.define and found:
         start, other = time.perf_counter(), scene.change({f"define.{UNIT}": PASCALS})
@@ -102,8 +101,7 @@ def _verdict(
     scene: Scene, method: str, eps: float | str | None, start: float, one: Answer, findings: Sequence[Finding],
     refuse: str, *, off: float | None = None, trial: str = "",
 ) -> Row:  # fmt: skip
-    digits: dict[str, Any] = {"off": off, "from_heights": None, "line": None, "left": None}
-    record = {**one.record, "monotone": None, "digits": digits}
+    record = {**one.record, "monotone": None, "digits": {"off": off}}
     return judged_row(scene, method, eps, start, record, findings, trial, refuse)
 
 
@@ -115,11 +113,6 @@ def _penetration(one: Answer) -> list[Finding]:
     most, size = float(p.max(initial=0.0)), float(np.abs(gap).max(initial=0.0))
     margin = SOLVED * (eps * most + 1e-4 * size)
     return [Finding("penetration", "eps max|p_h|", float((-gap).max(initial=0.0)), eps * most + margin)]
-
-
-def _known(one: Answer, known: Mapping[str, float]) -> list[Finding]:
-    report = one.record.get("report", {})
-    return [Finding(f"known: {name}", "equilibrium", abs(float(report[name])), limit) for name, limit in known.items()]
 
 
 def _beside(context: BodyContext, one: Answer, exact: Answer) -> list[Finding]:
@@ -134,11 +127,6 @@ def _beside(context: BodyContext, one: Answer, exact: Answer) -> list[Finding]:
         Finding("penalty and inequality: size of the pressure", "Thm 3.2", float(np.sqrt(_work(one))),
                 float(np.sqrt(_work(exact))) * (1 + SOLVED)),
     ]  # fmt: skip
-
-
-def _off(one: Answer, exact: Answer) -> float:
-    most = float(np.abs(exact.nodes.pressure).max(initial=0.0))
-    return float(np.abs(one.nodes.pressure - exact.nodes.pressure).max(initial=0.0)) / max(most, 1e-300)
 
 
 def _in_pascals(before: Answer, one: Answer) -> list[Finding]:

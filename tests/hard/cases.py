@@ -1,4 +1,4 @@
-"""The cases of the suite: a list in TOML, with scenes of the suite and of the catalogue."""
+"""The cases of the suite: a list in TOML, with scenes of the suite, of the catalogue and of demos."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from fenicsx_obstacle.checkout import DEMOS
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.scenes.scene import Scene
@@ -26,7 +27,7 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         name: Of the case.
         family: Of cases with the same difficulty, a table of the list.
         hard: What is hard about it, in a few words.
-        scene: Name of the scene, in this folder or the catalogue; by default that of the case.
+        scene: Name of the scene, of this folder, the catalogue or demos; by default that of the case.
         set: Changes of its keys, as --set makes them.
         meshes: The two values of `by`, from coarse to fine.
         by: The key that refines: mesh.cells, or mesh.refine for files.
@@ -52,9 +53,10 @@ class Case(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
             InputError: If it, or a key, is wrong.
         """
         name = self.scene or self.name
-        own = FOLDER / f"{name}.toml"
-        scene = Scene.read(own) if own.is_file() else catalogue.scene(name)
-        return scene.change(self.set) if self.set else scene
+        if name in catalogue.names():
+            return catalogue.scene(name, self.set)
+        files = [folder / f"{name}.toml" for folder in (FOLDER, DEMOS)]
+        return Scene.read(next(filter(Path.is_file, files), files[0]), self.set)
 
     @property
     def compared(self) -> bool:

@@ -22,14 +22,13 @@ from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.invariants import beside_inequality, falling, of_one, same
-from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
+from tests.hard.row import FAILED, Row, asked, judged_row, refused, row_of
 from tests.hard.solved import ReferenceProblem, Solved
 from tests.hard.units import Units, all_units
 
 EPS: tuple[float | str, ...] = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, "auto")
 METHODS = ("penalty", "successive")
 TRIAL = 1e-6  # eps of what is tried once: other starts, units and ranks
-NO_DIGITS = {"from_heights": None, "line": None, "left": None}  # known for affine effects
 
 
 class Trial(NamedTuple):
@@ -76,8 +75,7 @@ def judge(
     try:
         context = SolverContext(scene, comm)
     except InputError as error:
-        expected = bool(refuse) and refuse in str(error)
-        yield row_of(scene, "", None, REJECTED if expected else FAILED, start, message=str(error))
+        yield refused(scene, "", None, start, error, refuse)
         return
     with closing(context), closing(ReferenceProblem(context.problem)) as ground:
         court = _Verifier(scene, context, ground, refuse)
@@ -152,7 +150,8 @@ class _Verifier:
                         continue
                     record = dict(answer.record)
                     solved = take(context, ground, record["eps"])
-                    findings = [*of_one(solved), *_in_units(units, self.known[method, eps], solved, record)]
+                    more = record["newton_iterations"] - self.known[method, eps].iterations
+                    findings = [*of_one(solved), *_in_units(units, self.known[method, eps].solved, solved, more)]
                     yield self._verdict(method, eps, start, findings, record, units.name)
                     start = time.perf_counter()
 
@@ -160,15 +159,10 @@ class _Verifier:
         start = time.perf_counter()
         try:
             answer = self.context.answer(asked(self.scene, method, eps))
-        except InputError as error:
-            yield row_of(
-                self.scene, method, eps, REJECTED if FLOOR in str(error) else FAILED, start, message=str(error)
-            )
-            return
-        except NotConverged as error:
+        except (InputError, NotConverged) as error:
             # without a maximum principle for A an error of the size of the solution is the mesh's, and no answer
             coarse = NO_SOLUTION in str(error) and not self.ground.monotone
-            yield row_of(self.scene, method, eps, REJECTED if coarse else FAILED, start, message=str(error))
+            yield refused(self.scene, method, eps, start, error, right=coarse)
             return
         record = dict(answer.record)
         number = record["eps"]
@@ -177,9 +171,9 @@ class _Verifier:
         vi = self.known.get(("vi", None))
         if number is not None and vi is not None:
             findings += beside_inequality(solved, vi.solved)
-            record["digits"] = dict(record.get("round_off", NO_DIGITS))
             off = largest(self.ground.comm, np.abs(solved.p - vi.solved.p))
-            record["digits"]["off"] = off / max(largest(self.ground.comm, np.abs(vi.solved.p)), 1e-300)
+            record["digits"] = {"from_heights": record.get("round_off", {}).get("from_heights"),
+                                "off": off / max(largest(self.ground.comm, np.abs(vi.solved.p)), 1e-300)}  # fmt: skip
         for trial in before:
             findings += falling(trial.solved, solved)
         other = self.known.get((METHODS[0], eps))
@@ -208,9 +202,9 @@ def _scatter(points: np.ndarray) -> np.ndarray:
     return 2 * (mixed - np.floor(mixed)) - 1
 
 
-def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any]) -> list[Finding]:
-    """u and p in old units, node by node, and the steps."""
-    old, g = before.solved, before.solved.ground
+def _in_units(units: Units, old: Solved, solved: Solved, more: int) -> list[Finding]:
+    """u and p in old units, node by node, and how many more steps there were."""
+    g = old.ground
     scale = total(g.comm, solved.stiffness) / total(g.comm, old.stiffness)  # of a(u, u) over u^2
     # the data too are rounded where they are shifted: obstacles and boundary values bound what that does to u
     rounded, force = 2 * EPSILON * abs(units.shift), scale * units.height
@@ -221,12 +215,8 @@ def _in_units(units: Units, before: Trial, solved: Solved, record: dict[str, Any
         z=solved.z / units.height + rounded, q=solved.q / units.pressure + 4 * stiff * rounded,
         R=solved.R / (units.height * np.sqrt(scale)) + rounded * np.sqrt(total(g.comm, old.stiffness)),
     )  # fmt: skip
-    size = max(largest(g.comm, np.abs(old.p)), 1e-300)
-    moved = largest(g.comm, np.abs(new.p - old.p)[g.touchable]) / size
-    record["digits"] = {"moved": moved, **record.get("round_off", NO_DIGITS)}
     # a shift rounds heights to 1e-10 of their size: nodes nearer than that to an obstacle touch it from the start, and
     # may save steps
-    more = record["newton_iterations"] - before.iterations
     steps = Finding("other units: steps", "equations scale", more if units.shift else abs(more), 1,
                     units.exact(g.problem.model))  # fmt: skip
     return [steps, *same(old, new, "other units", "equations scale")]

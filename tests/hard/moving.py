@@ -20,7 +20,7 @@ from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.invariants import of_one
 from tests.hard.judge import take
-from tests.hard.row import FAILED, FLOOR, REJECTED, Row, asked, judged_row, row_of
+from tests.hard.row import Row, asked, judged_row, refused
 from tests.hard.solved import ReferenceProblem, Solved
 
 
@@ -36,8 +36,7 @@ def judge_moving(
             try:
                 answer = context.answer(asked(scene, method, eps))
             except (InputError, NotConverged) as error:
-                verdict = REJECTED if FLOOR in str(error) else FAILED
-                yield row_of(scene, method, eps, verdict, start, message=str(error))
+                yield refused(scene, method, eps, start, error)
                 continue
             problem = context.problem
             with closing(ReferenceProblem(problem)) as ground:  # of the last step

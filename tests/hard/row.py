@@ -8,6 +8,7 @@ from typing import Any
 
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.check.finding import Finding, violated
+from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.scenes.scene import Scene
 
 RIGHT, REJECTED, FAILED = "right", "rejected", "FAILED"
@@ -27,6 +28,15 @@ def judged_row(
     """The row of an answer: FAILED where a finding is violated, or the scene should have been refused."""
     message = f"should be rejected: {refuse}" if refuse else "; ".join(map(str, violated(findings)))
     return row_of(scene, method, eps, FAILED if message else RIGHT, start, record, findings, message, trial)
+
+
+def refused(
+    scene: Scene, method: str, eps: float | str | None, start: float, error: ObstacleError, refuse: str = "", *,
+    right: bool = False,
+) -> Row:  # fmt: skip
+    """The row of an error: rejected if eps is below the floor, if the scene must be refused, or if that is right."""
+    expected = right or FLOOR in str(error) or (bool(refuse) and refuse in str(error))
+    return row_of(scene, method, eps, REJECTED if expected else FAILED, start, message=str(error))
 
 
 def row_of(

@@ -1,4 +1,4 @@
-"""Output of `hard`: a line for each finished scene, counts of verdicts, tables and pictures."""
+"""Output of `hard`: a line for each finished scene, counts of verdicts, tables."""
 
 from __future__ import annotations
 
@@ -11,17 +11,14 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.parallel import on_root, write_lines, write_text
-from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.text import counted
 from tests.hard.cases import cases, named
 from tests.hard.judge import METHODS
 from tests.hard.row import FAILED, REJECTED, RIGHT, Row
 from tests.hard.suite import one_rank, run
-from tests.hard.summary import RESOLVED, Summary, digits_panels, figures_of, panels
-from tests.theory.show import drawing
-from tests.theory.statement import Found, Panel
+from tests.hard.summary import RESOLVED, Summary, figures_of
 
-LINES, TABLES, STEPS, DIGITS = "hard.jsonl", "tables.md", "steps.png", "digits.png"
+LINES, TABLES = "hard.jsonl", "tables.md"
 HEADS = ("scene", "family", "right", "rejected", "FAILED", "VI", "penalty", "(3.4)*", "maximum", "meshes", "s")
 LEGEND = (
     "VI, penalty, (3.4)*: most Newton steps on the finest level; maximum: whether its principle holds for the matrix;\n"
@@ -36,7 +33,7 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
 
     Args:
         name: Of a scene or a family; None for all.
-        folder: Where JSON lines, tables and pictures go.
+        folder: Where JSON lines and tables go.
         say: Takes text.
 
     Returns:
@@ -47,26 +44,23 @@ def show_hard(name: str | None, folder: Path, say: Callable[[str], None]) -> lis
     """
     one_rank()
     start, comm = time.perf_counter(), MPI.COMM_WORLD
-    found: list[tuple[Summary, list[Row]]] = []
+    all_figures: list[Summary] = []
+    found: list[Row] = []
     wanted = cases() if name is None else named(name)
     widths = [max(len(getattr(one, key)) for one in wanted) for key in ("name", "family")]
     say(_line(HEADS, widths))
     for one, rows in run(wanted):
-        figures = figures_of(one, rows)
-        found.append((figures, rows))
-        on_root(comm, write_lines, folder / LINES, [row for _, part in found for row in part])
-        say(_line(_cells(figures), widths))
+        all_figures.append(figures_of(one, rows))
+        found += rows
+        on_root(comm, write_lines, folder / LINES, found)
+        say(_line(_cells(all_figures[-1]), widths))
         for row in rows:
             if row["verdict"] == FAILED:
                 say(f"    {_which(row)} FAILED: {row['message']}")
-    rows = [row for _, part in found for row in part]
-    all_figures = [figures for figures, _ in found]
     on_root(comm, write_text, folder / TABLES, markdown(all_figures))
-    _draw(panels(found), "Hard scenes: steps over eps", folder / STEPS)
-    _draw(digits_panels(rows), "Digits of the contact pressure", folder / DIGITS)
     say(f"\n{LEGEND}\n\n{summary(all_figures, time.perf_counter() - start)}")
-    say(f"  {folder}: {LINES}, {TABLES}, {STEPS}, {DIGITS}")
-    return rows
+    say(f"  {folder}: {LINES}, {TABLES}")
+    return found
 
 
 def summary(all_figures: Sequence[Summary], seconds: float) -> str:
@@ -143,7 +137,3 @@ def _row(cells: Sequence[str]) -> str:
 def _line(cells: Sequence[Any], widths: Sequence[int]) -> str:
     texts = [str(cell).ljust(width) for cell, width in zip(cells[:2], widths, strict=True)]
     return "  ".join([*texts, *(str(cell).rjust(7) for cell in cells[2:])]).rstrip()
-
-
-def _draw(parts: Sequence[Panel], title: str, path: Path) -> None:
-    on_root(MPI.COMM_WORLD, save, drawing(Found([], parts), title), path)

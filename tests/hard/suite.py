@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.launcher import environment
 from tests.hard.cases import Case
 from tests.hard.judge import METHODS, TRIAL
 from tests.hard.ranks import agree_on
-from tests.hard.row import FAILED, RIGHT, Row
+from tests.hard.row import FAILED, Row, judged_row
 from tests.processes import end, launch_module, start
 
 AT_ONCE = 2
@@ -65,14 +64,10 @@ def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
         with np.load(alone, allow_pickle=False) as first, np.load(file, allow_pickle=False) as second:
             for method in (name for name in ("vi", *METHODS) if f"{name}.p" in first):
                 findings = agree_on(dict(first), dict(second), method)
-                wrong = violated(findings)
-                yield {
-                    "case": one.name, "family": one.family, "mesh": one.meshes[0], "scene": one.name, "method": method,
-                    "asked": None if method == "vi" else TRIAL, "trial": f"{ranks} ranks",
-                    "verdict": FAILED if wrong else RIGHT, "message": "; ".join(map(str, wrong)),
-                    "seconds": (time.perf_counter() - began) / (1 + len(METHODS)),
-                    "findings": [finding.record for finding in findings],
-                }  # fmt: skip
+                row = judged_row(one.base, method, None if method == "vi" else TRIAL, began, None, findings,
+                                 f"{ranks} ranks")  # fmt: skip
+                yield {"case": one.name, "family": one.family, "mesh": one.meshes[0], **row,
+                       "seconds": row["seconds"] / (1 + len(METHODS))}  # fmt: skip
 
 
 def _process(command: Sequence[str]) -> tuple[str, str]:

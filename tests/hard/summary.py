@@ -1,16 +1,14 @@
-"""Summary of the rows of the suite: verdicts and values of each scene, curves for pictures."""
+"""Summary of the rows of the suite: verdicts and values of each scene."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from tests.hard.cases import Case
 from tests.hard.judge import EPS, METHODS
 from tests.hard.row import Row
-from tests.theory.statement import Curve, Panel
 
 RESOLVED = 0.1  # change of the contact force from one mesh to the next
 
@@ -63,7 +61,7 @@ def figures_of(case: Case, rows: Sequence[Row]) -> Summary:
         work=None if work is None else work**2,
         moved=_moved(case, solved),
         off=_most(digits["off"] for digits in small),
-        plain=_most(digits["from_heights"] for digits in small),
+        plain=_most(digits.get("from_heights") for digits in small),
         seconds=sum(row.get("seconds", 0.0) for row in rows),
     )  # fmt: skip
 
@@ -90,50 +88,3 @@ def _moved(case: Case, rows: Sequence[Row]) -> float | None:
         return None
     size = max(forces[1].values())
     return max(abs(forces[0][side] - forces[1][side]) for side in forces[1]) / size
-
-
-def panels(all_figures: Sequence[tuple[Summary, Sequence[Row]]]) -> list[Panel]:
-    """Newton steps over eps: the most of each family, on the finer mesh, by method."""
-    numbers = [eps for eps in EPS if isinstance(eps, float)]
-    families = list(dict.fromkeys(figures.case.family for figures, _ in all_figures if figures.unknowns))
-    titles = {"penalty": "from the coarser levels", "successive": "(3.4)*, from no contact"}
-    made = []
-    for method in METHODS:
-        curves = []
-        for family in families:
-            most = {eps: 0 for eps in numbers}
-            for figures, rows in all_figures:
-                for row in rows if figures.case.family == family else ():
-                    if row["method"] == method and row["asked"] in most and not row["trial"] and "dofs" in row:
-                        most[row["asked"]] = max(most[row["asked"]], row["newton_iterations"])
-            curves.append(Curve(family, numbers, list(most.values())))
-        made.append(Panel(f"most Newton steps of a family: {titles[method]}", "eps", "steps", curves))
-    return made
-
-
-def digits_panels(rows: Sequence[Row]) -> list[Panel]:
-    """The round-off of the pressure, and what theory says of it."""
-    plain = _pairs(rows, "line", "from_heights", shifted=False)
-    left = _pairs(rows, "left", "moved", shifted=True)
-    return [
-        _beside("p from u: -(u - g)^+/eps", "machine epsilon |g| / (eps max|p|)", plain),
-        _beside("p from the unknown u - g, u shifted by 2^20 sizes", "machine epsilon |g| A_ii / (D_i max|p|)",
-                left),
-    ]  # fmt: skip
-
-
-def _pairs(rows: Sequence[Row], x: str, y: str, *, shifted: bool) -> list[tuple[float, float]]:
-    found: list[tuple[float, float]] = []
-    for row in rows:
-        digits: dict[str, Any] = row.get("digits") or {}
-        if ("heights +" in row.get("trial", "")) == shifted and digits.get(x) and digits.get(y):
-            found.append((digits[x], digits[y]))
-    return sorted(found)
-
-
-def _beside(title: str, theory: str, pairs: Sequence[tuple[float, float]]) -> Panel:
-    x, y = ([pair[k] for pair in pairs] for k in (0, 1))
-    ends = [min(x), max(x)] if x else [1e-16, 1.0]
-    return Panel(
-        title, theory, "relative error of p", [Curve("answers", x, y, line=False), Curve("theory", ends, ends)]
-    )

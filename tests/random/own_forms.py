@@ -259,20 +259,6 @@ def _mesh(drawn: Drawn, comm: MPI.Comm) -> dmesh.Mesh:
     return mesh
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What came of a form.
-
-    Attributes:
-        word: right; loud, where the default solve ends with a warning or an error though the inequality is solved;
-            none, where neither is; one, where only the default solve is; FAILED.
-        why: In words.
-    """
-
-    word: str
-    why: str = ""
-
-
 def attempt(form: OwnForm, **options: Any) -> tuple[Any, str]:
     """A solution, or None and the error; with the warnings (collective)."""
     with warnings.catch_warnings(record=True, action="always") as caught:
@@ -283,23 +269,27 @@ def attempt(form: OwnForm, **options: Any) -> tuple[Any, str]:
     return found, "; ".join(str(one.message) for one in caught if issubclass(one.category, UserWarning))
 
 
-def judged(form: OwnForm) -> Verdict:
-    """The verdict (collective)."""
+def judged(form: OwnForm) -> tuple[str, str]:
+    """The verdict, and why, in words (collective).
+
+    It is right; loud, where the default solve ends with a warning or an error though the inequality is solved; none,
+    where neither is; one, where only the default solve is; FAILED.
+    """
     comm = form.mesh.comm
     exact, why_not = attempt(form, method="vi")
     wrong = "" if exact is None else not_in_balance(form, exact, penetrates=False)
     if wrong:
-        return Verdict("FAILED", f"vi: {wrong}")
+        return "FAILED", f"vi: {wrong}"
     found, words = attempt(form)
     if found is None:
-        return Verdict("none" if exact is None else "loud", f"{words} | vi: {why_not}" if exact is None else words)
+        return "none" if exact is None else "loud", f"{words} | vi: {why_not}" if exact is None else words
     if words := comm.bcast(words):
-        return Verdict("loud", words)
+        return "loud", words
     wrong = not_in_balance(form, found, penetrates=True)
     if wrong:
-        return Verdict("FAILED", f"penalty: {wrong}")
+        return "FAILED", f"penalty: {wrong}"
     if exact is None:
-        return Verdict("one", why_not)
+        return "one", why_not
     height = largest(comm, exact.u.x.array) - smallest(comm, exact.u.x.array)
     own = form.V.dofmap.index_map.size_local
     differs = np.abs(found.u.x.array - exact.u.x.array)[:own]
@@ -313,11 +303,11 @@ def judged(form: OwnForm) -> Verdict:
         if height <= 100 * CONSTANT * size:  # u is constant but for what is left: its range says nothing
             allowed += min(moved, CONSTANT * size)
         elif moved <= allowed and _stays(form, found, allowed, method="vi") and _stays(form, exact, allowed):
-            return Verdict("right", "two solutions: each method stays at the other's")
+            return "right", "two solutions: each method stays at the other's"
     if not apart <= allowed:
         more = f"penetration {found.penetration:.3g}, eps {found.eps:.3g}"
-        return Verdict("FAILED", f"u differs by {apart:.3g} of {height:.3g}, {more}")
-    return Verdict("right")
+        return "FAILED", f"u differs by {apart:.3g} of {height:.3g}, {more}"
+    return "right", ""
 
 
 def not_in_balance(form: OwnForm, solution: Any, *, penetrates: bool) -> str:
@@ -410,10 +400,10 @@ def main(count: int, first: int = 1) -> None:
     for seed in range(first, first + count):
         started = time.perf_counter()
         form = OwnForm(seed, comm)
-        verdict = judged(form)
-        words[verdict.word] += 1
+        word, why = judged(form)
+        words[word] += 1
         if comm.rank == 0:
-            print(f"{verdict.word:7} {time.perf_counter() - started:5.1f} s  {form.text()}  {verdict.why}", flush=True)
+            print(f"{word:7} {time.perf_counter() - started:5.1f} s  {form.text()}  {why}", flush=True)
     if comm.rank == 0:
         print(dict(words))
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dolfinx import mesh as dmesh
 from hypothesis import strategies as st
 from mpi4py import MPI
 
@@ -18,8 +17,9 @@ from fenicsx_obstacle.scenes.scene import Scene
 from tests.hard.judge import judge
 from tests.hard.row import FAILED, RIGHT
 from tests.random.families.all_families import KNOWN
-from tests.random.families.family import Family, Judgement, toml
+from tests.random.families.family import Family, Judgement
 from tests.random.families.meshes import skewed
+from tests.random.families.strategies import DIAGONALS, power
 
 SMOOTH = ("1", "1 + x/L", "sin(3*x/L + 1)", "cos(7*x/L)*cos(5*y/L)", "(x^2 - y^2)/L^2", "exp(-9*(x^2 + y^2)/L^2)")
 KINKED = ("where(x < L/3, 1, -1)", "abs(x/L - 0.4)", "max(0, 1 - 4*hypot(x, y)/L)", "sign(sin(20*x/L)*sin(20*y/L + 1))",
@@ -54,7 +54,8 @@ class Drawn(Family):
         """The scene (collective)."""
         if self.skew is None:
             return Scene(mesh=self.mesh, **self.data).change({"solve.element": self.element})
-        return Scene(mesh=_skewed(self, comm), **self.data).change({"mesh.refine": self.mesh["refine"]})
+        mesh = skewed(comm, self.mesh["cells"], self.data["define"]["L"], *self.skew, self.scatter)
+        return Scene(mesh=mesh, **self.data).change({"mesh.refine": self.mesh["refine"]})
 
     def epsilons(self) -> list[str]:
         """Formulas in h: they are divided by the tension."""
@@ -67,30 +68,20 @@ class Drawn(Family):
             judgement.answers += row["verdict"] == RIGHT
             judgement.rejected += not failed and row["verdict"] != RIGHT
 
-    def text(self) -> str:
-        asked = f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"
-        if self.skew is None:
-            return toml(self.scene(), asked)
-        return f"from tests.random.random_scenes import Drawn\n{self!r}.scene()  # {asked}"
-
-
-def _power(low: int, high: int) -> st.SearchStrategy[float]:
-    """Numbers of any magnitude between powers of ten."""
-    return st.tuples(st.floats(1, 9.5).map(lambda x: round(x, 2)), st.integers(low, high - 1)).map(
-        lambda t: float(f"{t[0]}e{t[1]}")
-    )
+    def asked(self) -> str:
+        return f"SNES VI, penalty and (3.4)* with eps = {', '.join(self.epsilons())}"
 
 
 @st.composite
 def drawn(draw: st.DrawFn) -> Drawn:
     """An admissible random scene."""
-    L, height, tension = draw(_power(-3, 3)), draw(_power(-6, 6)), draw(_power(-6, 6))
+    L, height, tension = draw(power(-3, 3)), draw(power(-6, 6)), draw(power(-6, 6))
     shape = draw(st.sampled_from(["interval", "rectangle", "rectangle", "rectangle", "disk", "l-shape", "box", "own"]))
     mesh: dict[str, Any] = {"shape": shape}
     skew, scatter, element = None, 0.0, "P1"
     if shape == "own":
         mesh |= {"cells": draw(st.integers(3, 14)), "refine": draw(st.integers(0, 1))}
-        skew = draw(st.integers(-40, 40)) / 10, draw(_power(-3, 3))
+        skew = draw(st.integers(-40, 40)) / 10, draw(power(-3, 3))
         scatter = draw(st.sampled_from([0.0, 0.2, 0.3]))
     else:
         cells = {"interval": 200, "box": 5}.get(shape, 24)
@@ -106,14 +97,14 @@ def drawn(draw: st.DrawFn) -> Drawn:
     if shape == "rectangle":
         element = draw(st.sampled_from(["P1", "P1", "P1", "P1-voronoi", "Q1", "Q2", "P2"]))
         if element[0] == "P":
-            mesh["diagonal"] = draw(st.sampled_from(["right", "left", "crossed", "union-jack"]))
+            mesh["diagonal"] = draw(st.sampled_from(DIAGONALS))
         if element != "P1-voronoi":
             mesh["perturb"] = draw(st.sampled_from([0.0, 0.0, 0.1, 0.2]))
     field = st.sampled_from(SMOOTH + KINKED)
-    stiff, pull = draw(st.sampled_from(POSITIVE)), draw(_power(-3, 3)) * draw(st.sampled_from([-1.0, 0.0, 1.0]))
+    stiff, pull = draw(st.sampled_from(POSITIVE)), draw(power(-3, 3)) * draw(st.sampled_from([-1.0, 0.0, 1.0]))
     sides = draw(st.sampled_from(["lower", "upper", "both", "both", "none"]))
-    base = f"H*({draw(st.floats(-1, 1)):.3f} + {draw(_power(-3, 1)):.3g}*({draw(field)}))"
-    gap = f"H*{draw(_power(-8, 1)):.3g}*(1 + abs({draw(field)}))"
+    base = f"H*({draw(st.floats(-1, 1)):.3f} + {draw(power(-3, 1)):.3g}*({draw(field)}))"
+    gap = f"H*{draw(power(-8, 1)):.3g}*(1 + abs({draw(field)}))"
     define = {"L": L, "H": height, "mu": tension, "base": base, "gap": gap}
     obstacles = {"lower": {"lower": "base"}, "upper": {"upper": "base"}, "none": {},
                  "both": {"lower": "base", "upper": "base + gap"}}[sides]  # fmt: skip
@@ -125,13 +116,8 @@ def drawn(draw: st.DrawFn) -> Drawn:
         "define": define, "tension": f"mu*({stiff})", "load": f"mu*H/L^2*{pull!r}*({draw(field)})", **obstacles,
         "boundary": [{"value": value}],
     }  # fmt: skip
-    ratios = sorted({draw(_power(-8, 2)), draw(_power(-2, 3))}, reverse=True)
+    ratios = sorted({draw(power(-8, 2)), draw(power(-2, 3))}, reverse=True)
     return Drawn(data, mesh, element, skew, scatter, tuple(ratios))
-
-
-def _skewed(one: Drawn, comm: MPI.Comm) -> dmesh.Mesh:
-    assert one.skew is not None
-    return skewed(comm, one.mesh["cells"], one.data["define"]["L"], *one.skew, one.scatter)
 
 
 FAMILIES: dict[str, st.SearchStrategy[Any]] = {Drawn.name: drawn(), **KNOWN}

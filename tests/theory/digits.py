@@ -13,7 +13,7 @@ from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest
-from tests.theory.samples import sample
+from fenicsx_obstacle.scenes import catalogue
 from tests.theory.statement import Curve, Found, Panel, check, constant, rate, statement
 
 WHERE = "(3.7), (3.8)"
@@ -33,8 +33,9 @@ def digits(comm: MPI.Comm) -> Found:
     """
     errors: dict[str, list[float]] = {GAP: [], RESIDUAL: [], PLAIN: []}
     lost = []
+    scene = catalogue.scene("disk_flat", {"mesh.cells": 32})
     direct = defaults("penalty_", DIRECT), defaults("vi_", DIRECT)
-    with direct[0], direct[1], closing(SolverContext(sample("disk", 32), comm)) as context:
+    with direct[0], direct[1], closing(SolverContext(scene, comm)) as context:
         problem = context.problem
         vi = context.answer(replace(context.scene.options, method="vi")).pressure.x.array[: problem.level.owned]
         size = largest(comm, np.abs(vi))

@@ -11,17 +11,8 @@ from collections.abc import Sequence
 
 from mpi4py import MPI
 
-from tests.theory.mesh_sequences import CURVE, JUMP, KINK, SINGULAR, Eps, Gap, MeshSequence, gap
-from tests.theory.statement import (
-    Curve,
-    Finding,
-    Found,
-    Panel,
-    check,
-    constant,
-    rate,
-    statement,
-)
+from tests.theory.mesh_sequences import CURVE, JUMP, KINK, SINGULAR, VI, Eps, Measured, MeshSequence, gap
+from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, statement
 
 WHERE, STABLE = "Thm 3.3, (5.5)", "(3.23), (3.24)"
 DECADES = (1e-5, 1e-6, 1e-7, 1e-8)
@@ -60,22 +51,22 @@ def in_eps(comm: MPI.Comm) -> Found:
     return Found(findings, _panels(fixed[0], [*scenes, *pairs]))
 
 
-def at_fixed_h(one: Gap) -> list[Finding]:
+def at_fixed_h(one: Measured) -> list[Finding]:
     """Order 1 in eps of both, on the one mesh."""
-    eps, e, d = ([values[value][0] for value in DECADES] for values in (one.eps, one.e, one.d))
+    eps, e, d = ([one[value, name][0] for value in DECADES] for name in ("eps", "e", "d"))
     on = f"{one.on.words}, N = {one.on.cells[0]}"
     return [rate(WHERE, f"|u_eps - u_h|_1 in eps, {on}", 1, 1, eps, e),
             rate(WHERE, f"|p_eps - p_h|_0 in eps, {on}", 1, 1, eps, d)]  # fmt: skip
 
 
-def at_fixed_eps(one: Gap) -> list[Finding]:
+def at_fixed_eps(one: Measured) -> list[Finding]:
     """Orders in h, which are negative, at an eps far below h^2."""
-    s, words = one.on.smooth, one.on.words
-    return [rate(WHERE, f"|u_eps - u_h|_1 in h, eps = {SMALL:g}, {words}", -1, min(s, 1) - 1, one.h, one.e[SMALL]),
-            rate(WHERE, f"|p_eps - p_h|_0 in h, eps = {SMALL:g}, {words}", -2, s - 2, one.h, one.d[SMALL])]  # fmt: skip
+    s, on = one.on.smooth, f"eps = {SMALL:g}, {one.on.words}"
+    return [rate(WHERE, f"|u_eps - u_h|_1 in h, {on}", -1, min(s, 1) - 1, one.h, one[SMALL, "e"]),
+            rate(WHERE, f"|p_eps - p_h|_0 in h, {on}", -2, s - 2, one.h, one[SMALL, "d"])]  # fmt: skip
 
 
-def together(one: Gap, along: Eps) -> list[Finding]:
+def together(one: Measured, along: Eps) -> list[Finding]:
     """Orders in h where eps is a power of h, `along` its first."""
     s, findings = one.on.smooth, []
     for value, k in ((along, 1), ("h^2", 2), ("h^3", 3)):
@@ -83,43 +74,44 @@ def together(one: Gap, along: Eps) -> list[Finding]:
         of_e = k * (1 + min(s, 1)) / 2 if k < 2 else k + min(s, 1) - 1
         of_d = max(s, 0) * k / 2 + min(s, 0) if k < 2 else k + s - 2
         on = f"eps = {value}, {one.on.words}"
-        findings.append(rate(WHERE, f"|u_eps - u_h|_1 in h, {on}", k - 1, of_e, one.h, one.e[value]))
-        findings.append(rate(WHERE, f"|p_eps - p_h|_0 in h, {on}", k - 2, of_d, one.h, one.d[value]))
+        findings.append(rate(WHERE, f"|u_eps - u_h|_1 in h, {on}", k - 1, of_e, one.h, one[value, "e"]))
+        findings.append(rate(WHERE, f"|p_eps - p_h|_0 in h, {on}", k - 2, of_d, one.h, one[value, "d"]))
     return findings
 
 
-def uniformly(one: Gap) -> list[Finding]:
+def uniformly(one: Measured) -> list[Finding]:
     """Above h^2: order 0 in h, between the two finest meshes, and the order in eps; a bounded p alone gives 1/2."""
-    eps, e = [one.eps[value][-1] for value in LARGE], [one.e[value][-1] for value in LARGE]
+    eps, e = [one[value, "eps"][-1] for value in LARGE], [one[value, "e"][-1] for value in LARGE]
     words, finest, order = one.on.words, one.on.cells[-1], (1 + min(one.on.smooth, 1)) / 2
     on = f"eps = {LARGE[1]:g}, {LARGE[0]:g}, N = {finest}, {words}"
     return [rate(WHERE, f"|u_eps - u_h|_1 in h, eps = {LARGE[0]:g}, N = {finest}, {words}", -1, 0, one.h[-2:],
-                 one.e[LARGE[0]][-2:]),
+                 one[LARGE[0], "e"][-2:]),
             rate(STABLE, f"|u_eps - u_h|_1 in eps, {on}", 1 / 2, order, eps, e)]  # fmt: skip
 
 
-def constants(all_found: Sequence[Gap]) -> list[Finding]:
+def constants(all_found: Sequence[Measured]) -> list[Finding]:
     """(B) with v = p_h: |e|_a <= eps |p_h|_a; what eps/h is sharp for; and how little the pair matters above h^2."""
-    most = max(max(values) for one in all_found for values in one.part.values())
+    most = max(max(values) for one in all_found for (_, name), values in one.values.items() if name == "part")
     first = all_found[0]
     findings = [check(STABLE, "|u_eps - u_h|_a over eps |p_h|_a, the most", "1 at most", most, most <= 1)]
     for one in all_found:
         if one.on.smooth <= 0:
-            relative = [e / size for e, size in zip(one.e[SMALL], one.size, strict=True)]
+            relative = [e / size for e, size in zip(one[SMALL, "e"], one[VI, "size"], strict=True)]
             findings.append(rate(WHERE, f"|u_eps - u_h|_1 over |p_h|_0 in h, eps = {SMALL:g}, {one.on.words}", -1,
                                  -1, one.h, relative))  # fmt: skip
     for one in all_found:
         if one.on.changes:
-            same = one.e["h^2"][one.at(AT)] / first.e["h^2"][first.at(AT)]
+            same = one["h^2", "e"][one.on.cells.index(AT)] / first["h^2", "e"][first.on.cells.index(AT)]
             findings.append(constant(WHERE, f"|u_eps - u_h|_1 over that of P1, eps = h^2, N = {AT}, {one.on.words}",
                                      "C of the pair", 1.0, same))  # fmt: skip
     return findings
 
 
-def _panels(fixed: Gap, found: Sequence[Gap]) -> list[Panel]:
+def _panels(fixed: Measured, found: Sequence[Measured]) -> list[Panel]:
     straight, collapse = found[1], []  # a free boundary of no curvature: no other length than h and eps^(1/2)
+    epsilons = [value for value, name in straight.values if name == "e"]
     for place, cells in enumerate(straight.on.cells):
-        points = sorted((straight.eps[value][place], straight.e[value][place]) for value in straight.e)
+        points = sorted((straight[value, "eps"][place], straight[value, "e"][place]) for value in epsilons)
         h = straight.h[place]
         collapse.append(Curve(f"N = {cells}", [eps / h**2 for eps, _ in points],
                               [e * h**0.5 / eps for eps, e in points]))  # fmt: skip
@@ -127,13 +119,13 @@ def _panels(fixed: Gap, found: Sequence[Gap]) -> list[Panel]:
     curves = []
     for one in found:
         s = one.on.smooth
-        curves.append(Curve(one.on.words, one.h, [e / SMALL for e in one.e[SMALL]],
+        curves.append(Curve(one.on.words, one.h, [e / SMALL for e in one[SMALL, "e"]],
                             None if s in told else min(s, 1) - 1))  # fmt: skip
         told.add(s)
     return [
         Panel(f"{fixed.on.words}, N = {fixed.on.cells[0]}", "eps", "distance", [
-            Curve("|u_eps - u_h|_1", DECADES, [fixed.e[value][0] for value in DECADES], 1),
-            Curve("|p_eps - p_h|_0", DECADES, [fixed.d[value][0] for value in DECADES], 1)]),
+            Curve("|u_eps - u_h|_1", DECADES, [fixed[value, "e"][0] for value in DECADES], 1),
+            Curve("|p_eps - p_h|_0", DECADES, [fixed[value, "d"][0] for value in DECADES], 1)]),
         Panel(f"eps = {SMALL:g}", "h", "|u_eps - u_h|_1 / eps", curves),
         Panel(f"{straight.on.words}: one curve for all h", "eps / h^2", "|u_eps - u_h|_1 h^(1/2) / eps", collapse),
     ]  # fmt: skip

@@ -13,27 +13,8 @@ from dataclasses import replace
 from mpi4py import MPI
 
 from fenicsx_obstacle.scenes.catalogue import scene
-from tests.theory.mesh_sequences import (
-    CURVE,
-    JUMP,
-    KINK,
-    SINGULAR,
-    VI,
-    Eps,
-    Errors,
-    MeshSequence,
-    errors,
-)
-from tests.theory.statement import (
-    Curve,
-    Finding,
-    Found,
-    Panel,
-    check,
-    constant,
-    rate,
-    statement,
-)
+from tests.theory.mesh_sequences import CURVE, JUMP, KINK, SINGULAR, VI, Eps, Measured, MeshSequence, errors
+from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, statement
 
 DISPLACEMENTS, PRESSURES, DUAL = "Thm 4.1, (5.6)", "Thm 4.2, (5.7)", "Thm 4.3, (5.8)"
 LABELS = {"h1": "|u - u_h|_1", "l2": "|u - u_h|_0", "max": "max |u - u_h|", "close": "|u_h - I_h u|_a",
@@ -86,7 +67,8 @@ def pressures(comm: MPI.Comm) -> Found:
     uniform = [errors(one, [VI], comm) for one in (CEILING, TORSION, HALFPLANE, SMOOTH, CEILING_Q2)]
     flat, cured = ([errors(one, [VI], comm) for one in some] for some in (FLAT, CURED))
     fine = replace(BENT, cells=(*BENT.cells, 128))
-    bent = errors(fine, [VI, "4*h^2", "h^2", "h^2/4"], comm)
+    epsilons = (VI, "4*h^2", "h^2", "h^2/4")
+    bent = errors(fine, epsilons, comm)
     stalled = [bent, *(errors(one, [VI], comm) for one in (BENT_JACK, BENT_UNEVEN))]
     findings = []
     for one in (*uniform, *flat, *cured):
@@ -94,7 +76,7 @@ def pressures(comm: MPI.Comm) -> Found:
     for one in stalled:
         findings += claims(PRESSURES, one, VI, 0, {"pressure_l2": 0})
     findings += [*plateau(stalled[:2]), *filtered(bent)]
-    of_eps = {"eps = 0" if eps == VI else f"eps = {eps}": bent[eps, "pressure_l2"] for eps in bent.errors}
+    of_eps = {"eps = 0" if eps == VI else f"eps = {eps}": bent[eps, "pressure_l2"] for eps in epsilons}
     return Found(findings, [
         _panel("uniform meshes", "pressure_l2", uniform, (1 / 2, None, None, 3 / 2)),
         Panel("curved obstacle, criss-cross", "h", "|p - p_eps|_0", [
@@ -118,7 +100,7 @@ def duals(comm: MPI.Comm) -> Found:
     return Found(findings, [_panel("", "dual", [*shown, bent], (3 / 2, 2, 1, 1 / 2, 1))])
 
 
-def claims(where: str, seen: Errors, eps: Eps, claimed: float, orders: Mapping[str, float]) -> list[Finding]:
+def claims(where: str, seen: Measured, eps: Eps, claimed: float, orders: Mapping[str, float]) -> list[Finding]:
     """A row for each error of these names, with the order to expect."""
     findings = []
     for name, expected in orders.items():
@@ -133,14 +115,14 @@ def claims(where: str, seen: Errors, eps: Eps, claimed: float, orders: Mapping[s
     return findings
 
 
-def _rough(seen: Errors) -> Finding:
+def _rough(seen: Measured) -> Finding:
     """A tension that jumps within cells: u' jumps there, u is in H^(3/2-), and (2.6) does not follow from (2.5)."""
     order = math.log(seen[VI, "h1"][0] / seen[VI, "h1"][-1]) / math.log(seen.h[0] / seen.h[-1])
     return check(DISPLACEMENTS, f"|u - u_h|_1, {seen.on.words}, the jump within cells", "order 1", order,
                  order < 0.9, "needs hypothesis")  # fmt: skip
 
 
-def plateau(stalled: Sequence[Errors]) -> list[Finding]:
+def plateau(stalled: Sequence[Measured]) -> list[Finding]:
     """Where |p - p_h|_0 stays, on meshes whose nodes have 4 and 8 triangles by turns.
 
     There (A I_h g)_i / D_i is 3/2 and 3/4 of -div grad g, so that half of the nodes find themselves pulled off the
@@ -153,7 +135,7 @@ def plateau(stalled: Sequence[Errors]) -> list[Finding]:
                      size / math.sqrt(8), one[VI, "pressure_l2"][-1], "sharp") for one in stalled]  # fmt: skip
 
 
-def filtered(bent: Errors) -> list[Finding]:
+def filtered(bent: Measured) -> list[Finding]:
     """The penalty damps what oscillates with wave length h: with eps = h^2, p_eps is better than p_h, and improves."""
     p, findings = bent["h^2", "pressure_l2"], []
     for place, cells in enumerate(bent.on.cells):
@@ -163,7 +145,7 @@ def filtered(bent: Errors) -> list[Finding]:
     return findings
 
 
-def _panel(title: str, name: str, seen: Sequence[Errors], slopes: Sequence[float | None]) -> Panel:
+def _panel(title: str, name: str, seen: Sequence[Measured], slopes: Sequence[float | None]) -> Panel:
     drawn = [*slopes, *[None] * (len(seen) - len(slopes))]
     return Panel(title, "h", LABELS[name], [Curve(one.on.words, one.h, one[VI, name], slope)
                                             for one, slope in zip(seen, drawn, strict=True)])  # fmt: skip

@@ -14,24 +14,15 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.algebra.newton import solve_penalty
+from fenicsx_obstacle.algebra.solve_system import MatrixSystem
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.scenes import meshes
+from fenicsx_obstacle.scenes import catalogue, meshes
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.theory.samples import Small, sample
-from tests.theory.statement import (
-    Curve,
-    Finding,
-    Found,
-    Panel,
-    check,
-    constant,
-    rate,
-    statement,
-)
+from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, statement
 
 WHERE = "(3.4)*"
 CELLS = (16, 32, 64, 128)
@@ -58,7 +49,7 @@ def entered(history: Sequence[Step]) -> int:
 
 def linear_step(comm: MPI.Comm) -> list[Finding]:
     """The second step from no contact solves (A + chi D/eps) u = f + chi D g/eps, chi where the first is beyond g."""
-    with closing(SolverContext(sample("disk", 32), comm)) as context:
+    with closing(SolverContext(catalogue.scene("disk_flat", {"mesh.cells": 32}), comm)) as context:
         problem = context.problem
         problem.eps = 1e-4
         x = problem.vector()
@@ -105,8 +96,8 @@ def _excess(problem: Problem, x: PETSc.Vec) -> np.ndarray:
 
 def nesting(comm: MPI.Comm) -> list[Finding]:
     """Nodes that enter after the first step, in all runs on M-matrices; and a mesh that gives none."""
-    right = sample("disk", 32)
-    crossed, string = right.change({"mesh.diagonal": "crossed"}), sample("string", 64)
+    right = catalogue.scene("disk_flat", {"mesh.cells": 32})
+    crossed, string = right.change({"mesh.diagonal": "crossed"}), catalogue.scene("string_parabola", {"mesh.cells": 64})
     runs = [answer for scene in (right, crossed, string) for answer in _runs(scene, comm)]
     found = [check(
         WHERE, "nodes that enter after the first step: 3 meshes, eps = 1e-2, 1e-6, 1e-10", "sets decrease",
@@ -136,14 +127,34 @@ def _sheared(comm: MPI.Comm) -> Scene:
     return Scene(**{**shape, "mesh": mesh}, load=4, upper=0.05)
 
 
+class Small(MatrixSystem):
+    """A u + (u - g)^+ / eps = b of a few unknowns, with g = 0; every rank solves the whole of it.
+
+    Attributes:
+        met: The active sets for which a linear system was asked for, in their order.
+    """
+
+    def __init__(self, A: np.ndarray, b: np.ndarray):
+        n = len(b)
+        matrix = PETSc.Mat().createDense((n, n), array=A, comm=MPI.COMM_SELF).convert("aij")
+        super().__init__(matrix, b, lower=None, upper=np.zeros(n), weights=np.ones(n), fixed=np.zeros(n, dtype=bool),
+                         given=np.zeros(n))  # fmt: skip
+        self.met: list[tuple[bool, ...]] = []
+
+    def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
+        A = super().jacobian(x, penalised=penalised)
+        self.met.append(tuple((self.w > 0).tolist()))
+        return A
+
+
 def cycle() -> list[Finding]:
     """Three unknowns for which full steps have period 3; the line search on the energy ends it."""
-    problem: Any = Small(CYCLE, CYCLE_LOAD)
+    A, b = np.array(CYCLE), np.array(CYCLE_LOAD)
+    problem = Small(A, b)
     with defaults("penalty_", DENSE):
         outcome = solve_penalty(problem, CYCLE_EPS, successive=True)
     period = problem.met.index(problem.met[0], 1)
-    w = problem.w
-    left = np.abs(problem.matrix @ w + np.maximum(w, 0) / CYCLE_EPS - problem.b).max()
+    left = np.abs(A @ problem.w + np.maximum(problem.w, 0) / CYCLE_EPS - b).max()
     return [
         constant(WHERE, "period of full steps on three unknowns, no M-matrix", "finite", 3, period,
                  "needs hypothesis"),
@@ -153,7 +164,7 @@ def cycle() -> list[Finding]:
 
 def counts(comm: MPI.Comm, sides: Sequence[int] = CELLS) -> tuple[list[Finding], list[Panel]]:
     """Steps from three starts, over N."""
-    rows = [_counted(sample("disk", cells), comm) for cells in sides]
+    rows = [_counted(catalogue.scene("disk_flat", {"mesh.cells": cells}), comm) for cells in sides]
     cold, nested, continued = ([row[start, SMALL] for row in rows] for start in (COLD, NESTED, FALLING))
     findings = [
         # the last step only finds that nothing changes

@@ -8,11 +8,9 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.options import SolverOptions
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.scenes.catalogue import scene
@@ -49,93 +47,70 @@ class MeshSequence:
 
 
 @dataclass
-class Gap:
-    """How far (3.4) is from the variational inequality of the same mesh, for each eps: a value per mesh.
+class Measured:
+    """What was measured on a sequence of meshes, a value per mesh.
 
     Attributes:
-        on: What is solved.
+        on: What was solved.
         h: Of each mesh.
-        eps: As numbers.
-        e: ||u_eps - u_h||_1.
-        d: ||p_eps - p_h||_0.
-        part: |u_eps - u_h|_a over eps |p_h|_a.
-        size: ||p_h||_0.
+        values: By eps, or `VI`, and the name of what was measured.
     """
 
     on: MeshSequence
     h: list[float] = field(default_factory=list)
-    eps: dict[Eps, list[float]] = field(default_factory=dict)
-    e: dict[Eps, list[float]] = field(default_factory=dict)
-    d: dict[Eps, list[float]] = field(default_factory=dict)
-    part: dict[Eps, list[float]] = field(default_factory=dict)
-    size: list[float] = field(default_factory=list)
+    values: dict[tuple[Eps, str], list[float]] = field(default_factory=dict)
 
-    def at(self, cells: int) -> int:
-        """Place of a mesh in the lists."""
-        return list(self.on.cells).index(cells)
+    def __getitem__(self, key: tuple[Eps, str]) -> list[float]:
+        return self.values[key]
+
+    def note(self, eps: Eps, /, **values: float) -> None:
+        """Add the values of the next mesh."""
+        for name, value in values.items():
+            self.values.setdefault((eps, name), []).append(value)
 
 
-def gap(sequence: MeshSequence, epsilons: Sequence[Eps], comm: MPI.Comm) -> Gap:
-    """Solve on each mesh for each eps (collective)."""
-    found = Gap(sequence)
+def gap(sequence: MeshSequence, epsilons: Sequence[Eps], comm: MPI.Comm) -> Measured:
+    """How far (3.4) is from the variational inequality of the same mesh, for each eps (collective).
+
+    Measured are `eps` as a number, `e` = ||u_eps - u_h||_1, `d` = ||p_eps - p_h||_0 and `part` = |u_eps - u_h|_a over
+    eps |p_h|_a; of `VI`, `size` = ||p_h||_0.
+    """
+    found = Measured(sequence)
     for context in sequence.contexts(comm):
         problem = context.problem
         distance, reference = Distance(problem), context.answer(solved_with(context.scene, VI))
         found.h.append(problem.level.h)
-        found.size.append(distance.pressure(reference.pressure.x.array))
+        found.note(VI, size=distance.pressure(reference.pressure.x.array))
         steep = distance.energy(reference.pressure.x.array)  # the nodes of I are those of V_h
         for value in epsilons:
             answer = context.answer(solved_with(context.scene, value))
             e, d = answer.u.x.array - reference.u.x.array, answer.pressure.x.array - reference.pressure.x.array
             eps = answer.record["eps"]
-            found.eps.setdefault(value, []).append(eps)
-            found.e.setdefault(value, []).append(math.hypot(distance.energy(e), distance.l2(e)))
-            found.d.setdefault(value, []).append(distance.pressure(d))
-            found.part.setdefault(value, []).append(distance.energy(e) / (eps * steep))
+            found.note(value, eps=eps, e=math.hypot(distance.energy(e), distance.l2(e)), d=distance.pressure(d),
+                       part=distance.energy(e) / (eps * steep))  # fmt: skip
     return found
 
 
-@dataclass
-class Errors:
-    """Distances to the exact solution, for each eps: a value per mesh.
+def errors(sequence: MeshSequence, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: bool = False) -> Measured:
+    """Distances to the exact solution for each eps, or `VI` (collective).
 
-    Attributes:
-        on: What is solved.
-        h: Of each mesh.
-        errors: By the names of the record, for each eps; and `dual`, ||p - p_h||_1*, `close`, |u_h - I_h u|_a.
+    They have the names of the record; beside these there are `close`, |u_h - I_h u|_a, and if wanted `dual`,
+    ||p - p_h||_1*, which costs another linear solve.
     """
-
-    on: MeshSequence
-    h: list[float] = field(default_factory=list)
-    errors: dict[Eps, dict[str, list[float]]] = field(default_factory=dict)
-
-    def __getitem__(self, key: tuple[Eps, str]) -> list[float]:
-        return self.errors[key[0]][key[1]]
-
-
-def errors(sequence: MeshSequence, epsilons: Sequence[Eps], comm: MPI.Comm, *, dual: bool = False) -> Errors:
-    """Solve on each mesh for each eps, or `VI` (collective); the dual norm costs another linear solve."""
-    found = Errors(sequence)
+    found = Measured(sequence)
     for context in sequence.contexts(comm):
         assert context.exact is not None
         found.h.append(context.problem.level.h)
         distance = Distance(context.problem)
         for value in epsilons:
             answer = context.answer(solved_with(context.scene, value))
-            norms = {**answer.record["errors"], "close": distance.energy(_nodal_error(answer))}
+            assert answer.error is not None
+            found.note(value, **answer.record["errors"], close=distance.energy(answer.error.x.array))
             if dual:
-                norms["dual"] = context.exact.dual.error(answer.pressure, answer.record["eps"])
-            lists = found.errors.setdefault(value, {})
-            for name, norm in norms.items():
-                lists.setdefault(name, []).append(norm)
+                found.note(value, dual=context.exact.dual.error(answer.pressure, answer.record["eps"]))
     return found
 
 
 def solved_with(scene: Scene, eps: Eps) -> SolverOptions:
     """The options of a scene with this eps, or for the variational inequality."""
     return scene.options_with(method="vi") if eps == VI else scene.options_with(eps=eps)
-
-
-def _nodal_error(answer: Answer) -> np.ndarray:
-    assert answer.error is not None
-    return np.asarray(answer.error.x.array)

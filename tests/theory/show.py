@@ -125,23 +125,18 @@ def _draw(found: Found, title: str, path: Path) -> None:
 
 
 def _panel(axes: Any, panel: Panel) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+    from matplotlib.ticker import MaxNLocator
 
     axes.set_xscale(panel.scales[0])
     axes.set_yscale(panel.scales[1])
     for number, curve in enumerate(panel.curves):
         look = style(number, dashed=4)
-        if not curve.line:
-            look["linestyle"] = ""
         axes.plot(curve.x, curve.y, label=curve.label, **look)
         if curve.slope is not None:
             _slope(axes, curve, look["color"])
     axes.margins(y=0.12)  # room for the orders below the last values
-    if all(float(y).is_integer() for curve in panel.curves for y in curve.y):
-        linear = panel.scales[1] == "linear"
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True) if linear else LogLocator(subs=(1, 2, 5)))
-        axes.yaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+    if panel.scales[1] == "linear" and all(float(y).is_integer() for curve in panel.curves for y in curve.y):
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_title(panel.title, fontsize=9)
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)

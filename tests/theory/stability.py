@@ -14,17 +14,7 @@ from fenicsx_obstacle.forms.pairs import pairs
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.theory.constants import Stability
-from tests.theory.statement import (
-    Curve,
-    Finding,
-    Found,
-    Panel,
-    check,
-    constant,
-    rate,
-    slope,
-    statement,
-)  # fmt: skip
+from tests.theory.statement import Curve, Finding, Found, Panel, check, constant, rate, slope, statement
 
 UNEVEN = 0.25  # how far vertices of perturbed meshes are moved, in parts of h
 CELLS, FEWER = (4, 8, 16, 32), (4, 8, 16)

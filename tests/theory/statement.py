@@ -56,14 +56,12 @@ class Curve:
         x: Abscissae.
         y: Ordinates.
         slope: Order to draw at its last point, None for none.
-        line: Whether the points are joined.
     """
 
     label: str
     x: Sequence[float]
     y: Sequence[float]
     slope: float | None = None
-    line: bool = True
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from mpi4py import MPI
 
 from tests.theory.in_h import CEILING, CONE, claims
-from tests.theory.mesh_sequences import VI, Errors, MeshSequence, errors, gap
+from tests.theory.mesh_sequences import VI, Measured, MeshSequence, errors, gap
 from tests.theory.statement import Curve, Finding, Found, Panel, check, statement
 
 WHERE = "Thm 5.1, (5.9)"
@@ -36,13 +36,13 @@ def totals(comm: MPI.Comm) -> Found:
 def _parts(one: MeshSequence, comm: MPI.Comm) -> list[Finding]:
     """The penalty's part of the error compared with the mesh's."""
     whole, part = errors(one, [VI, "h^(4/3)"], comm), gap(one, ["h^2"], comm)
-    share = part.e["h^2"][0] / whole[VI, "h1"][0]
+    share = part["h^2", "e"][0] / whole[VI, "h1"][0]
     more = whole["h^(4/3)", "h1"][0] / whole[VI, "h1"][0]
     on = f"N = {one.cells[0]}, {one.words}"
     return [check(WHERE, f"|u_eps - u_h|_1 over |u - u_h|_1, eps = h^2, {on}", "C", share, share < 1),
             check(WHERE, f"|u - u_eps|_1 over |u - u_h|_1, eps = h^(4/3), {on}", "", more, more > 1)]  # fmt: skip
 
 
-def _panel(seen: Errors, name: str, label: str) -> Panel:
+def _panel(seen: Measured, name: str, label: str) -> Panel:
     words = {VI: "eps = 0", **{eps: f"eps = {eps}" for eps in POWERS}}
     return Panel("", "h", label, [Curve(words[eps], seen.h, seen[eps, name]) for eps in words])

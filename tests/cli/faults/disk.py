@@ -62,10 +62,9 @@ def _mounted(root: Path, earlier: Path, environment: Mapping[str, str]) -> Itera
                          str(-1 if size is None else size), str(ranks), *command]  # fmt: skip
                 start = time.perf_counter()
                 done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-                what = "read-only" if size is None else f"{size} bytes left"
-                yield Fault(f"{name} on {ranks}: a disk with {what}" if size is not None else
-                            f"{name} on {ranks}: a disk that is read-only",
-                            (done.stdout + done.stderr[-300:]).strip(), time.perf_counter() - start)  # fmt: skip
+                what = "that is read-only" if size is None else f"with {size} bytes left"
+                wrong = (done.stdout + done.stderr[-300:]).strip()
+                yield Fault(f"{name} on {ranks}: a disk {what}", wrong, time.perf_counter() - start)
 
 
 def _refused(

@@ -82,17 +82,15 @@ def interrupts(root: Path, environment: Mapping[str, str], rounds: int) -> Itera
             # rows of the round before may be enough to wait for: in its first 0.05 s the interpreter itself answers
             time.sleep(moments.uniform(0.2, 0.5))
             os.killpg(process.pid, signal.SIGINT)  # as the terminal does
-            wrong = ""
-            try:
-                said = process.communicate(timeout=PATIENCE)[1].strip()
-            except subprocess.TimeoutExpired:
-                wrong, said = "did not end", ""
-            if process.returncode == 0:
-                wrong = wrong or ("" if rows >= ROWS else "ended as if nothing had been")
+            said, wrong = _said(process), ""
+            if said is None:
+                wrong = "did not end"
+            elif process.returncode == 0:
+                wrong = "" if rows >= ROWS else "ended as if nothing had been"
             elif ranks == 1 and (said != KEPT or process.returncode != 130):
-                wrong = wrong or f"status {process.returncode}: {said[-200:]}"
+                wrong = f"status {process.returncode}: {said[-200:]}"
             elif "Traceback" in said or len(said.splitlines()) > 1:
-                wrong = wrong or f"more than one line: {said[-200:]}"
+                wrong = f"more than one line: {said[-200:]}"
             left = _left(process.pid)
             end(process)
             wrong = wrong or (f"left processes {left}" if left else "") or _rows(folder)[1]
@@ -115,12 +113,18 @@ def _obey_interrupts() -> None:
 def _finish(folder: Path, ranks: int, environment: Mapping[str, str]) -> str:
     """Let a study run to its end; what is wrong."""
     process = _start(folder, ranks, environment)
-    try:
-        said = process.communicate(timeout=PATIENCE)[1]
-    except subprocess.TimeoutExpired:
+    if (said := _said(process)) is None:
         end(process)
         return "did not end"
-    return "" if process.returncode == 0 else f"status {process.returncode}: {said.strip()[-200:]}"
+    return "" if process.returncode == 0 else f"status {process.returncode}: {said[-200:]}"
+
+
+def _said(process: subprocess.Popen[str]) -> str | None:
+    """What a process says of its errors until its end; None if it does not end."""
+    try:
+        return process.communicate(timeout=PATIENCE)[1].strip()
+    except subprocess.TimeoutExpired:
+        return None
 
 
 def _kill(
@@ -138,11 +142,7 @@ def _kill(
         pythons = [pid for pid, found in words.items() if "fenicsx_obstacle" in found and "-n" not in found]
         if pythons:
             os.kill(choose.choice(pythons), signal.SIGKILL)
-    wrong = ""
-    try:
-        process.communicate(timeout=PATIENCE)
-    except subprocess.TimeoutExpired:
-        wrong = "the others did not end"
+    wrong = "the others did not end" if _said(process) is None else ""
     left = _left(process.pid)
     end(process)
     count, torn = _rows(folder)

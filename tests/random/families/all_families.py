@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 from hypothesis import strategies as st
 
 from tests.random.families import (
@@ -64,5 +66,5 @@ KNOWN: dict[str, st.SearchStrategy[Family]] = {
     "drift along x": drifts.strips(),
     "drift from a point": drifts.radial(),
     "film": films.films(),
-    **({"CAD": files.cad()} if files.there() else {}),
+    **({"CAD": files.cad()} if find_spec("gmsh") else {}),
 }

@@ -8,13 +8,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.family import (
-    ANSWER,
-    EITHER,
-    INPUT_ERROR,
-    Family,
-    Judgement,
-)
+from tests.random.families.family import ANSWER, EITHER, INPUT_ERROR, Family, Judgement
 from tests.random.families.strategies import bounds, grids, place
 
 JUMPS = ("where({s} < {c}, 0, {a})", "{a}*({s} >= {c})", "{a}*sign({s} - {c})", "{a}*floor({s} - {c})",

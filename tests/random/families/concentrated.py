@@ -18,14 +18,7 @@ from mpi4py import MPI
 from sympy import Expr
 
 from fenicsx_obstacle.scenes.scene import Scene
-from tests.random.families.manufactured import (
-    Line,
-    Manufactured,
-    Piecewise,
-    distance,
-    expression,
-    x,
-)
+from tests.random.families.manufactured import Line, Manufactured, Piecewise, distance, expression, x
 from tests.random.families.meshes import skewed
 from tests.random.families.strategies import bounds_by_all_ways, place, power
 from tests.random.families.supported import SHAPES

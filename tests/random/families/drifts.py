@@ -69,22 +69,13 @@ class Strip(Family):
 
     def judge(self, judgement: Judgement) -> None:
         x, true = self.truth()
-        grown = float(true.max()) * 8 * self.tension
-        phi = FLOWS[self.flow][1](x, self.strength, self.centre)
-        peclet = float(np.abs(np.gradient(phi, x)).max()) / self.cells / (2 * self.tension)
-        answer = judgement.solve(self.scene, _expected(grown, peclet))
-        if answer is None:
-            return
-        low, high = Field(answer.u).ends()
+        most = float(true.max())
+        phi = FLOWS[self.flow][1](x, self.strength, self.centre) / self.tension
+        peclet = float(np.abs(np.gradient(phi, x)).max()) / self.cells / 2
+        # the drift's potential is off by Peclet^2/3 of itself at most
+        factor = np.exp(2 * float(np.ptp(phi)) * peclet**2 / 3 + 0.1)
         margin = 1e-9 if self.shape == "interval" else 0.01
-        judgement.check(low >= -margin * max(abs(low), high),
-                        f"u from {low:.6g} to {high:.6g}; true: from 0 to {true.max():.6g}")  # fmt: skip
-        if peclet <= RESOLVED:
-            # the drift's potential is off by Peclet^2/3 of itself at most
-            phi /= self.tension
-            factor = np.exp(2 * float(np.ptp(phi)) * peclet**2 / 3 + 0.1)
-            words = f"largest u {high:.6g}; true: {true.max():.6g}, within a factor of {factor:.3g}"
-            judgement.check(1 / factor <= high / true.max() <= factor, words)
+        _compare(self, judgement, most * 8 * self.tension, peclet, (most, most), factor, margin)
 
 
 @st.composite
@@ -140,17 +131,11 @@ class Radial(Family):
         grown = most * 4 * self.tension / outer**2
         h = (2 if self.shape == "disk" else 1) / self.cells
         peclet = abs(self.strength) * outer * h / (2 * self.tension)
-        answer = judgement.solve(self.scene, _expected(grown, peclet))
-        if answer is None:
-            return
-        low, high = Field(answer.u).ends()
-        words = f"u from {low:.6g} to {high:.6g}; true: from 0 to a value between {least:.6g} and {most:.6g}"
-        judgement.check(low >= -0.01 * max(abs(low), high), words)
-        if peclet <= RESOLVED:
-            # the polygon is smaller than the disk by h^2/8 of its radius or less, its sides' size being h
-            phi = abs(self.strength) * outer**2 / (2 * self.tension)
+        # the polygon is smaller than the disk by h^2/8 of its radius or less, its sides' size being h
+        phi = abs(self.strength) * outer**2 / (2 * self.tension)
+        with np.errstate(over="ignore"):
             factor = np.exp(2 * phi * (RESOLVED**2 / 3 + h**2) + 0.1)
-            judgement.check(least / factor <= high <= most * factor, f"{words}, within a factor of {factor:.3g}")
+        _compare(self, judgement, grown, peclet, (least, most), factor, 0.01)
 
 
 @st.composite
@@ -162,6 +147,28 @@ def radial(draw: st.DrawFn) -> Radial:
                   round(sign * tension * draw(power(0, 4)), 12))  # fmt: skip
 
 
-def _expected(grown: float, peclet: float) -> str:
-    """Growth means a small eigenvalue, whose sign is another one on a mesh that does not resolve the flow."""
-    return ANSWER if grown < (PLAIN if peclet <= RESOLVED else MILD) else EITHER
+def _compare(
+    one: Strip | Radial, judgement: Judgement, grown: float, peclet: float, true: tuple[float, float], factor: float,
+    margin: float,
+) -> None:  # fmt: skip
+    """Solve and judge (collective).
+
+    Growth means a small eigenvalue, whose sign is another one on a mesh that does not resolve the flow.
+
+    Args:
+        one: The scene.
+        judgement: Its judgement.
+        grown: The largest u over that without drift.
+        peclet: Of a cell.
+        true: Between what the largest u is.
+        factor: How far off it may be where the flow is resolved.
+        margin: How far u may be below 0, in parts of the largest.
+    """
+    answer = judgement.solve(one.scene, ANSWER if grown < (PLAIN if peclet <= RESOLVED else MILD) else EITHER)
+    if answer is None:
+        return
+    (low, high), (least, most) = Field(answer.u).ends(), true
+    words = f"u from {low:.6g} to {high:.6g}; true: from 0 to a value between {least:.6g} and {most:.6g}"
+    judgement.check(low >= -margin * max(abs(low), high), words)
+    if peclet <= RESOLVED:
+        judgement.check(least / factor <= high <= most * factor, f"{words}, within a factor of {factor:.3g}")

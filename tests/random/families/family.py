@@ -158,8 +158,14 @@ class Family(ABC):
         raise NotImplementedError
 
     def text(self) -> str:
-        """TOML or Python that shows the scene to the program again."""
-        return toml(self.scene(), f"solve(scene, {vars(self).get('options', {})})")
+        """TOML, or Python where the mesh is no shape, that shows the scene to the program again."""
+        if vars(self).get("mesh", {}).get("shape", "box") in OF_SHAPE:
+            return f"# {self.asked()}\n{self.scene().toml()}"
+        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.asked()}"
+
+    def asked(self) -> str:
+        """What is asked for."""
+        return f"solve(scene, {vars(self).get('options', {})})"
 
 
 @dataclass(frozen=True)
@@ -218,13 +224,3 @@ class ClosedForm(Family):
         return all(len(str(text)) < LONGEST for text in (self.value(), *self.data().values())) and all(
             len(part.get("flux", "")) < self.longest_flux for part in self.boundary()
         )
-
-    def text(self) -> str:
-        if self.mesh["shape"] in OF_SHAPE:
-            return super().text()
-        return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.options}"
-
-
-def toml(scene: Scene, call: str) -> str:
-    """A scene as TOML text, and what was asked for."""
-    return f"# {call}\n{scene.toml()}"

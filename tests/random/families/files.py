@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +19,6 @@ from tests.random.families.family import ANSWER, EITHER, Family, Judgement
 from tests.random.families.strategies import place
 
 TELLING = ("connect", "component", "duplicate", "coincid", "on top of", "separate", "fragment", "pieces", "bodies")
-
-
-@contextmanager
-def gmsh_model() -> Iterator[Any]:
-    """Gmsh with an empty model, on one rank."""
-    import gmsh
-
-    gmsh.initialize([], False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        yield gmsh
-    finally:
-        gmsh.finalize()
 
 
 @dataclass(frozen=True)
@@ -64,68 +48,50 @@ class Cad(Family):
     name = "CAD"
 
     def judge(self, judgement: Judgement) -> None:
-        comm = judgement.comm
+        comm, expected = judgement.comm, ANSWER if self.kind in ("no groups", "joined") else EITHER
+        found: list[Answer] = []
         with tempfile.TemporaryDirectory(prefix="obstacle-") as own:
             folder = Path(comm.bcast(own))
-            {"no groups": self._groups, "apart": self._apart, "joined": self._joined}.get(
-                self.kind, self._curved)(judgement, folder)  # fmt: skip
+            for groups in (True, False) if self.kind == "no groups" else (True,):
+                file = on_root(comm, self.write, folder / f"{groups}{self.suffix}", groups)
+                answer = judgement.solve(partial(self.on, file), expected, f"groups: {groups}", **self.options)
+                found += [] if answer is None else [answer]
             comm.Barrier()
+        if not found:
+            return
+        first, *others = found
+        if self.kind == "apart":  # without shared nodes they are no membrane of their union
+            told = any(word in text.lower() for text in (*judgement.said, first.summary()) for word in TELLING)
+            judgement.check(told, "two bodies without shared nodes are solved as two membranes, and nothing is said")
+        elif self.kind == "joined" and self.lower is None:  # the membrane on a shape of this package
+            top, true = max(map(abs, Field(first.u).ends())), abs(self.load) * torsion(self.width + 0.7)
+            right = abs(top - true) <= (0.02 + 4 * self.size**2) * true
+            judgement.check(right, f"largest |u| {top:.5g}; true: {true:.5g}")
+        elif self.kind not in KINDS[:3]:
+            judgement.not_certified(first, "the domain is curved")
+        for other in others:  # without physical groups it is the same membrane as with them
+            pairs = zip(("energy", "force"), self._figures(first), self._figures(other), strict=True)
+            for name, a, b in pairs:
+                same = abs(a - b) <= 1e-6 * abs(a) + 1e-12
+                judgement.check(same, f"{name} {a:.8g} with groups, {b:.8g} without them")
 
     def on(self, file: Path) -> Scene:
         return Scene(mesh={"file": str(file)}, tension=1, load=self.load, lower=self.lower)
 
-    def _groups(self, judgement: Judgement, folder: Path) -> None:
-        """Without physical groups it is the same membrane as with them."""
-        found: list[Answer] = []
-        for groups in (True, False):
-            file = on_root(judgement.comm, self.write, folder / f"{groups}.msh", groups)
-            answer = judgement.solve(partial(self.on, file), ANSWER, f"groups: {groups}")
-            found += [] if answer is None else [answer]
-        if len(found) == 2:
-            self._same(judgement, *found)
-
-    def _apart(self, judgement: Judgement, folder: Path) -> None:
-        """Two rectangles that share an edge without shared nodes are no membrane of their union."""
-        file = on_root(judgement.comm, self.write, folder / "apart.msh", True)
-        answer = judgement.solve(lambda: self.on(file), EITHER)
-        if answer is None:
-            return
-        told = any(word in text.lower() for text in (*judgement.said, answer.summary()) for word in TELLING)
-        judgement.check(told, "two bodies without shared nodes are solved as two membranes, and nothing is said")
-
-    def _joined(self, judgement: Judgement, folder: Path) -> None:
-        """The same made one: it must be solved, and is the membrane on a shape of this package."""
-        file = on_root(judgement.comm, self.write, folder / "joined.msh", True)
-        answer = judgement.solve(lambda: self.on(file), ANSWER)
-        if answer is None:
-            return
-        low, high = Field(answer.u).ends()
-        top, true = max(abs(low), abs(high)), abs(self.load) * torsion(self.width + 0.7)
-        if self.lower is None:
-            judgement.check(
-                abs(top - true) <= (0.02 + 4 * self.size**2) * true, f"largest |u| {top:.5g}; true: {true:.5g}"
-            )
-
-    def _curved(self, judgement: Judgement, folder: Path) -> None:
-        """A curved domain is no polygon."""
-        file = on_root(judgement.comm, self.write, folder / f"curved{self.suffix}", True)
-        answer = judgement.solve(lambda: self.on(file), EITHER, **self.options)
-        if answer is not None:
-            judgement.not_certified(answer, "the domain is curved")
-
-    def _same(self, judgement: Judgement, first: Answer, second: Answer) -> None:
-        for key in ("energy", "contact"):
-            a, b = (answer.record[key] for answer in (first, second))
-            if key == "contact":
-                a, b = (side.get("lower", {"force": 0.0})["force"] for side in (a, b))
-            judgement.check(abs(a - b) <= 1e-6 * abs(a) + 1e-12, f"{key} {a:.8g} with groups, {b:.8g} without them")
+    def _figures(self, answer: Answer) -> tuple[float, float]:
+        """The energy and the contact force."""
+        return answer.record["energy"], answer.record["contact"].get("lower", {"force": 0.0})["force"]
 
     def write(self, file: Path, groups: bool) -> Path:
         """Make the file (rank 0)."""
         if file.suffix == ".geo":
             file.write_text(GEO.format(h=self.size, r=self.width), encoding="utf-8")
             return file
-        with gmsh_model() as gmsh:
+        import gmsh
+
+        gmsh.initialize([], False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
             add, w = gmsh.model.occ, self.width
             if self.kind in ("apart", "joined"):
                 bodies = [(2, add.addRectangle(0, 0, 0, w, 1)), (2, add.addRectangle(w, 0, 0, 0.7, 1))]
@@ -149,22 +115,14 @@ class Cad(Family):
             gmsh.model.mesh.generate(2)
             gmsh.option.setNumber("Mesh.MshFileVersion", self.version)
             gmsh.write(str(file))
+        finally:
+            gmsh.finalize()
         return file
 
     def text(self) -> str:
-        words = {
-            "no groups": f"Gmsh: rectangle {self.width} x 1, without physical groups",
-            "apart": f"Gmsh: rectangles {self.width} x 1 and 0.7 x 1 side by side, not fragmented",
-            "joined": f"Gmsh: rectangles {self.width} x 1 and 0.7 x 1 side by side, fragmented",
-            "disk": f"Gmsh: OpenCASCADE disk of radius {self.width}, {self.suffix}",
-            "ellipse": f"Gmsh: OpenCASCADE ellipse of half axes {1.3 * self.width} and {self.width}",
-            "hole": f"Gmsh: square 2 x 2 with a hole of radius {0.6 * self.width}",
-        }[self.kind]
-        obstacle = "" if self.lower is None else f", lower={self.lower}"
-        return (
-            f"{words}, mesh size {self.size}, format {self.version}: Scene(mesh={{'file': ...}}, tension=1, "
-            f"load={self.load}{obstacle}); solve(scene, {self.options})"
-        )
+        file = f"Path('a{self.suffix}')"
+        return (f"from pathlib import Path\nfrom {type(self).__module__} import Cad\n"
+                f"one = {self!r}\nscene = one.on(one.write({file}, True))  # False: without groups\n")  # fmt: skip
 
 
 def torsion(width: float) -> float:
@@ -196,8 +154,3 @@ def cad(draw: st.DrawFn) -> Cad:
     lower = draw(st.sampled_from([None, -0.05])) if load < 0 else None
     return Cad(kind, draw(place(0.5, 1.5)), draw(st.sampled_from([0.1, 0.2, 0.4])),
                draw(st.sampled_from([2.2, 4.1])), suffix, load, lower, options)  # fmt: skip
-
-
-def there() -> bool:
-    """Whether Gmsh's Python module is."""
-    return find_spec("gmsh") is not None

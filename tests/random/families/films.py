@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle.scenes.scene import Scene
 from tests.random.families.elements import Field
-from tests.random.families.family import ANSWER, EITHER, REJECTION, Family, Judgement, toml
+from tests.random.families.family import ANSWER, EITHER, REJECTION, Family, Judgement
 from tests.random.families.strategies import power
 
 SQUARE = 2 + sqrt(np.pi)  # perimeter over area, the least of all parts of the unit square (Cheeger's constant)
@@ -28,7 +28,7 @@ class Film(Family):
         tension: Surface tension.
         ratio: Load over the largest for which there is a solution.
         sign: Of the load.
-        method: penalty or vi.
+        options: Of `solve`: the method, penalty or vi.
         far: Whether there is an obstacle, out of reach.
     """
 
@@ -38,7 +38,7 @@ class Film(Family):
     tension: float
     ratio: float
     sign: float
-    method: str
+    options: dict[str, Any]
     far: bool
 
     name = "film"
@@ -65,7 +65,7 @@ class Film(Family):
     def judge(self, judgement: Judgement) -> None:
         beyond = self.ratio >= 1.05 + 4 / self.cells  # functions on a mesh bear a little more
         expected = ANSWER if self.ratio <= 0.9 else REJECTION if beyond and not self.far else EITHER
-        answer = judgement.solve(self.scene, expected, method=self.method)
+        answer = judgement.solve(self.scene, expected, **self.options)
         if answer is None:
             return
         low, high = Field(answer.u).ends()
@@ -90,9 +90,6 @@ class Film(Family):
         radius = (1 if arc else 2) * self.tension / abs(self.load)
         return radius - sqrt(radius**2 - reach**2) if radius >= reach else float("inf")
 
-    def text(self) -> str:
-        return toml(self.scene(), f"solve(scene, method={self.method!r})")
-
 
 @st.composite
 def films(draw: st.DrawFn) -> Film:
@@ -101,5 +98,5 @@ def films(draw: st.DrawFn) -> Film:
     cells = draw(st.integers(40, 120) if kind in ("cap", "arc") else st.integers(16, 24))
     percent = st.one_of(st.integers(5, 90), st.integers(91, 104), st.integers(115, 300))
     sign, method = draw(st.sampled_from([1.0, -1.0])), draw(st.sampled_from(["penalty", "vi"]))
-    return Film(kind, cells, draw(power(-2, 2)), draw(power(-3, 3)), draw(percent) / 100, sign, method,
-                draw(st.booleans()))  # fmt: skip
+    return Film(kind, cells, draw(power(-2, 2)), draw(power(-3, 3)), draw(percent) / 100, sign,
+                {"method": method}, draw(st.booleans()))  # fmt: skip

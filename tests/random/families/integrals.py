@@ -155,7 +155,7 @@ class Nodes:
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle in the plane.
+    """A circle in the plane; 'below' it is inside of it.
 
     Attributes:
         middle: Its centre.
@@ -164,6 +164,16 @@ class Circle:
 
     middle: tuple[float, float]
     radius: float
+
+    def below(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return (x - self.middle[0]) ** 2 + (y - self.middle[1]) ** 2 < self.radius**2
+
+    def sides(self, spelling: int) -> tuple[str, str]:
+        """What is compared."""
+        (a, b), R = self.middle, self.radius
+        if spelling % 2:
+            return f"((x - ({a!r}))^2 + (y - ({b!r}))^2)", f"({R**2!r})"
+        return f"hypot(x - ({a!r}), y - ({b!r}))", f"({R!r})"
 
     def crosses(self, triangles: np.ndarray) -> np.ndarray:
         """Whether it meets triangles, shape (n, 3, 2), which are on one side of it otherwise."""

@@ -13,10 +13,9 @@ import sympy
 from mpi4py import MPI
 from sympy import Expr
 
-from tests.random.families import integrals
 from tests.random.families.elements import Field
 from tests.random.families.family import ClosedForm
-from tests.random.families.integrals import BLOCK, Nodes, Pieces, intervals
+from tests.random.families.integrals import BLOCK, Circle, Nodes, Pieces, intervals
 from tests.random.families.meshes import made
 
 x, y = sympy.symbols("x y", real=True)
@@ -40,21 +39,6 @@ class Line:
         """What is compared."""
         a, b = self.direction
         return f"({a!r}*x + {b!r}*y)", f"({self.place!r})"
-
-
-@dataclass(frozen=True)
-class Circle(integrals.Circle):
-    """A circle; 'below' it is inside of it."""
-
-    def below(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return (x - self.middle[0]) ** 2 + (y - self.middle[1]) ** 2 < self.radius**2
-
-    def sides(self, spelling: int) -> tuple[str, str]:
-        """What is compared."""
-        (a, b), R = self.middle, self.radius
-        if spelling % 2:
-            return f"((x - ({a!r}))^2 + (y - ({b!r}))^2)", f"({R**2!r})"
-        return f"hypot(x - ({a!r}), y - ({b!r}))", f"({R!r})"
 
 
 Curve = Line | Circle

@@ -26,7 +26,7 @@ from tests.random.families.manufactured import (
     square,
 )
 from tests.random.families.meshes import meshes
-from tests.random.families.strategies import bounds, place
+from tests.random.families.strategies import bounds_by_all_ways, place
 from tests.random.families.varying import SMOOTH, TENSIONS
 
 KINDS = ("half", "strip", "band", "disc", "hole", "wedge", "tent", "cone", "two")
@@ -168,10 +168,8 @@ def touching(draw: st.DrawFn) -> Touching:
     constant = kind in ("tent", "cone") or draw(st.booleans())
     stiff = draw(st.sampled_from(["1", "7.3", "0.001"])) if constant else draw(st.sampled_from(TENSIONS))
     change = draw(st.sampled_from(CHANGES)) if kind not in ("two", "tent", "cone") else "none"
-    options = draw(bounds(seldom=True)) | draw(
-        st.sampled_from([{}, {}, {"method": "vi"}, {"eps": 1e-10}, {"eps": "h"}])
-    )
-    return Touching(draw(meshes()), options, draw(st.integers(0, 9)), kind, angles, draw(place(-0.4, 0.5)),
+    mesh, options = draw(meshes()), draw(bounds_by_all_ways("P1", "P2"))
+    return Touching(mesh, options, draw(st.integers(0, 9)), kind, angles, draw(place(-0.4, 0.5)),
                     draw(place(0.15, 0.5)), draw(st.sampled_from([1.0, 4.0, 0.1])),
                     draw(st.sampled_from(["0", "-x**2", *SMOOTH])), draw(st.sampled_from(["1", "30", "0", "1 + x**2"])),
                     change, draw(st.booleans()), stiff)  # fmt: skip
