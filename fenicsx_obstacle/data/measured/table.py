@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.data.measured.grid import Grid
+from fenicsx_obstacle.data.measured.grid import Grid, OnGrid
 from fenicsx_obstacle.data.measured.read import Heights, numbers, of_arrays, read
-from fenicsx_obstacle.data.measured.surface import OnSurface, Surface
+from fenicsx_obstacle.data.measured.surface import Surface
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
@@ -272,7 +272,7 @@ class MeasuredField(Field):
 
     @property
     def continuous(self) -> bool:  # type: ignore[override]
-        return self.surface.continuous
+        return isinstance(self.surface, Grid)
 
     @property
     def pointwise(self) -> bool:
@@ -304,9 +304,9 @@ class MeasuredField(Field):
         return self.surface.at(self._inward(x[:2].T))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        if not self.surface.continuous or corners.shape[2] != 2:
+        if not isinstance(self.surface, Grid) or corners.shape[2] != 2:
             return None
-        return OnSurface(self.surface, self._inward(corners))
+        return OnGrid(self.surface, self._inward(corners))
 
     def because(self, point: np.ndarray, names: Names) -> str:
         axes = "x" if self.along_x else "xy"
