@@ -98,7 +98,7 @@ def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     plane = [tag for d, tag in rows if d == dim and _is_flat(model.getType(d, tag))]
     surface = np.where(np.isin(surface, plane), 0, surface) if dim == 2 < gdim else surface[:0]
     words = {
-        "cell": cell, "materials": materials, "parts": parts, "remarks": remarks, "straight": straight(model, dim),
+        "cell": cell, "materials": materials, "parts": parts, "remarks": remarks, "straight": _is_straight(model),
     }  # fmt: skip
     return words, {
         "points": points[:, :gdim], "cells": np.searchsorted(used, cells),
@@ -222,39 +222,10 @@ def _joined(
     )
 
 
-def straight(model: Any, dim: int) -> bool | None:
-    """Whether all CAD curves are straight lines and, in solids and on surfaces in space, all surfaces flat.
-
-    None where some have no CAD geometry, as in files that hold nothing but a mesh.
-    """
-    found = {dim: {tag for d, tag in model.getEntities(dim) if len(model.mesh.getElementTypes(d, tag))}}
-    for d in range(dim, 1, -1):
-        sides = model.getBoundary([(d, tag) for tag in found[d]], False, False)
-        inside = [one for tag in found[d] for one in model.mesh.getEmbedded(d, tag)]
-        for lower in range(1, d):
-            found.setdefault(lower, set()).update(tag for other, tag in (*sides, *inside) if other == lower)
-    meshed = {d: {t for t in tags if len(model.mesh.getElementTypes(d, t))} for d, tags in found.items()}
-    types = {d: {tag: model.getType(d, tag) for tag in meshed.get(d, ())} for d in (1, 2)}
-    known = {*types[1].values(), *types[2].values()}
-    # a compound of curves is meshed by way of a discrete one
-    discrete = any(model.getType(d, tag).startswith("Discrete") for d, tag in model.getEntities() if d in (1, 2))
-    if discrete or not known or known & {"", "Unknown"}:
-        return None
-    boxes = np.array([model.getBoundingBox(dim, tag) for tag in meshed[dim]])
-    in_plane = dim == 2 and np.ptp(boxes[:, [2, 5]]) <= 1e-6 * np.ptp(boxes)  # Gmsh widens its boxes by 1e-7
-    if set(types[1].values()) - {"Line"}:
-        return False
-    return bool(in_plane) or all(_flat(model, tag, kind) for tag, kind in types[2].items())
-
-
-def _flat(model: Any, surface: int, kind: str) -> bool:
-    """Whether a surface between straight lines is flat: a plane, or a filling of lines in a plane."""
-    if kind != "Surface":
-        return kind == "Plane"
-    corners = model.getBoundary([(2, surface)], False, False, True)
-    points = np.array([model.getValue(d, tag, []) for d, tag in corners])
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[2:].max(initial=0.0) <= 1e-9 * spread[0])
+def _is_straight(model: Any) -> bool:
+    """Whether all CAD curves are lines, and all surfaces planes; False also where there is no CAD geometry."""
+    kinds = {model.getType(d, tag) for d, tag in model.getEntities() if d in (1, 2)}
+    return kinds in ({"Line"}, {"Line", "Plane"})
 
 
 def _groups(model: Any, dim: int) -> dict[str, list[int]]:

@@ -46,8 +46,7 @@ class Level:
             first.
         parents: For each owned cell the row of the last of `grids`, or else the local cell of `coarse`, it came from.
         places: Where in it the corners of the cell are.
-        straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
-            where the file does not say, and for the caller's own mesh.
+        straight: Whether a mesh is from a file that says that all CAD curves are lines, and all surfaces planes.
         remarks: What the user should know of the mesh, in words.
         connected: Connected components of a mesh from a file or the caller; None where they are not known yet.
         bent: Local facets on each curve (in solids, surface) of a .geo or .step that is not straight, and on surfaces
@@ -67,7 +66,7 @@ class Level:
     grids: tuple[Grid, ...] = ()
     parents: np.ndarray | None = None
     places: np.ndarray | None = None
-    straight: bool | None = None
+    straight: bool = False
     remarks: tuple[str, ...] = ()
     connected: Components | None = None
     bent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
@@ -138,8 +137,8 @@ class Level:
         return replace(self, coarse=below, grids=(), parents=mine).given(V=self.V)
 
     @property
-    def polygonal(self) -> bool | None:
-        """Whether the domain is exactly the polygon (polyhedron) of the mesh; None where that is unknown."""
+    def polygonal(self) -> bool:
+        """Whether the domain is known to be exactly the polygon (polyhedron) of the mesh."""
         return self.straight if self.shape is None else self.project is None
 
     @property

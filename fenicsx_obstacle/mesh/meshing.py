@@ -57,7 +57,7 @@ class Arrays:
         bent: Rows of `points` of each facet on a CAD curve that is no line, in solids on a surface that is no plane.
         bent_entity: Gmsh's number of that curve or surface, for each of them.
         cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
-        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
+        straight: Whether the file says that all CAD curves are lines, and all surfaces planes.
         remarks: What the user should know of the file.
         content: A hash of all this, and of samples of the geometry.
     """
@@ -73,7 +73,7 @@ class Arrays:
     bent: np.ndarray
     bent_entity: np.ndarray
     cell_entity: np.ndarray
-    straight: bool | None
+    straight: bool
     remarks: Sequence[str]
     content: str
 
