@@ -18,7 +18,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.mesh import bisection, parents
 from fenicsx_obstacle.mesh.cells import cell_volumes, corners, edge_lengths, own_cells
-from fenicsx_obstacle.mesh.checks import Components, check_mesh, components
+from fenicsx_obstacle.mesh.checks import Components, check_degree, check_mesh, components
 from fenicsx_obstacle.mesh.halving import Grid, halvings
 from fenicsx_obstacle.mesh.parents import Name
 from fenicsx_obstacle.mesh.reference_cell import lagrange_degree
@@ -287,7 +287,8 @@ def of_space(
     if pair is None:
         raise InputError(f"{source}: no rule at the nodes of degree {degree} on a {cell} has positive weights (3.6): "
                          "take degree 1, or cells with another shape")  # fmt: skip
-    level = of_mesh(releases.settle(V.mesh), source, facets, curved=vector)
+    check_degree(V.mesh, source, 1 + vector)
+    level = of_mesh(releases.settle(V.mesh), source, facets)
     return (replace(level, pair=pair, vector=True) if vector else of_pair(level, pair)).given(V=V)
 
 
@@ -404,8 +405,6 @@ def of_mesh(
     source: str,
     facets: dict[str, np.ndarray] | None = None,
     groups: dict[str, np.ndarray] | None = None,
-    *,
-    curved: bool = False,
 ) -> Level:
     """A mesh that is not one of our shapes: h from the volumes of its cells (collective).
 
@@ -414,12 +413,11 @@ def of_mesh(
         source: Where it comes from, for messages.
         facets: Local facets of each named part.
         groups: Owned cells of each named material.
-        curved: Whether cells may be of degree 2.
 
     Raises:
         InputError: If its cells do not fit together.
     """
-    found, remarks = check_mesh(mesh, source, curved=curved)
+    found, remarks = check_mesh(mesh, source)
     return Level(mesh, _largest_side(mesh), facets or {}, groups or {}, remarks=remarks, connected=found)
 
 
