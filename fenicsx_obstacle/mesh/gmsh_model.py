@@ -129,11 +129,8 @@ def ungrouped_cells(model: Any) -> list[str]:
     ]
 
 
-def join_bodies(model: Any) -> list[str]:
+def join_bodies(model: Any) -> None:
     """Let bodies of a CAD file that touch share the sides on which they do, so that these have common nodes.
-
-    Returns:
-        A remark on the bodies that do.
 
     Raises:
         InputError: If bodies overlap.
@@ -141,8 +138,7 @@ def join_bodies(model: Any) -> list[str]:
     dim = model.getDimension()
     bodies = model.getEntities(dim)
     if len(bodies) < 2 or dim < 2:
-        return []
-    before = _common_sides(model)
+        return
     _, pieces = model.occ.fragment(bodies[:1], bodies[1:])
     model.occ.synchronize()
     owner: dict[int, int] = {}
@@ -152,15 +148,6 @@ def join_bodies(model: Any) -> list[str]:
                 at = place(np.array(model.occ.getCenterOfMass(dim, tag)))
                 what = f"{_KINDS[dim]}s {bodies[owner[tag]][1]} and {bodies[number][1]}"
                 raise InputError(f"{what} overlap at {at}; cut one from the other, in Gmsh by BooleanDifference")
-    if (common := _common_sides(model)) == before:
-        return []
-    return [f"{len(bodies)} {_KINDS[dim]}s of the file share nodes on {counted(common, 'side')} on which they touch"]
-
-
-def _common_sides(model: Any) -> int:
-    """How many sides two bodies of the highest dimension have in common."""
-    sides = model.getBoundary(model.getEntities(model.getDimension()), False, False)
-    return len(sides) - len(set(sides))
 
 
 def name_bodies(model: Any) -> None:

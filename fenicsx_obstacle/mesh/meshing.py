@@ -194,7 +194,8 @@ def _run(source: str, target: str) -> int:
                 why = "libseccomp2 is missing, or the system does not allow it"
                 raise InputError(f"a .geo is a program, which nothing confines here ({why}): mesh it in Gmsh")
             gmsh.open(source)
-            joined = join_bodies(gmsh.model) if cad else []
+            if cad:
+                join_bodies(gmsh.model)
             if given:
                 points = on_cad(gmsh.model, given["points"], given["rows"], given["entities"])
                 np.savez(out, points=points)
@@ -204,7 +205,6 @@ def _run(source: str, target: str) -> int:
             if suffix in GEOMETRY:
                 gmsh.model.mesh.generate(gmsh.model.getDimension())
             words, arrays = arrays_of(gmsh.model)
-            words["remarks"] = [*joined, *words["remarks"]]
             shape = np.empty(0)
             if suffix in GEOMETRY:
                 words["remarks"] += ungrouped_cells(gmsh.model)
