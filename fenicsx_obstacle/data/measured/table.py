@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from hashlib import sha256
 from math import cos, isfinite, radians, sin
@@ -17,7 +17,7 @@ from fenicsx_obstacle.data.measured.surface import Surface
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, in_toml
 
 KEYS = ("file", "x", "y", "range", "scale", "rotate", "shift", "smooth")
 _NOTHING = {"scale": 1.0, "rotate": 0.0, "smooth": 0.0}  # what changes no table
@@ -84,18 +84,7 @@ class Table:
         return {key: value for key, value in given.items() if value is not None and value != _NOTHING.get(key)}
 
     def __str__(self) -> str:
-        return in_words(self.in_toml | ({} if self.file is None else {"file": self.file}))
-
-
-def in_words(keys: Mapping[str, Any]) -> str:
-    """Keys of a table of measured data as in TOML."""
-    return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in keys.items()) + "}"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, str | Path):
-        return f'"{value}"'
-    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list | tuple) else f"{value:g}"
+        return in_toml(self.in_toml | ({} if self.file is None else {"file": str(self.file)}))
 
 
 class MeasuredField(Field):
