@@ -502,7 +502,7 @@ def test_meshes_that_are_none():
     """A quadrilateral that is not convex, whose last corner is pushed in, is rejected with its place."""
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.2, 0.2]])
     own = helpers.Membrane(helpers.mesh_of(points, [[0, 1, 2, 3]], "quadrilateral"))
-    words = r"a quadrilateral at \(0.3, 0.3, 0\) has no area at a corner, or is not convex"
+    words = r"the quadrilateral at \(0.3, 0.3, 0\) has no area at a corner, or is not convex"
     with pytest.raises(InputError, match=words):
         own.problem(bcs=[], upper=1)
 

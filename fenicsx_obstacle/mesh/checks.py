@@ -45,13 +45,6 @@ _REMEDY = (
     "in a .geo add, before the physical groups, BooleanFragments{ Volume{:}; Delete; }{} with "
     'SetFactory("OpenCASCADE") (of plane parts Surface{:}), and otherwise Coherence; then make the mesh again'
 )
-_CELLS = {
-    (2, 1): "an interval",
-    (3, 2): "a triangle",
-    (4, 3): "a tetrahedron",
-    (4, 2): "a quadrilateral",
-    (8, 3): "a hexahedron",
-}  # by vertices and dimension
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +165,7 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
     if len(flat):
         word = {1: "length", 2: "area", 3: "volume"}[dim]
         wrong = f"has no {word}" if vertices.shape[1] == dim + 1 else f"has no {word} at a corner, or is not convex"
-        mine = f"{_CELLS[vertices.shape[1], dim]} at {place(vertices[flat[0]].mean(axis=0))} {wrong}"
+        mine = f"the {releases.cell_name(mesh)} at {place(vertices[flat[0]].mean(axis=0))} {wrong}"
     elif dim == mesh.geometry.dim:
         beside = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets)
         if beside.max(initial=0) > 2:

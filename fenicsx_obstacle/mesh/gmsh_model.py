@@ -17,7 +17,8 @@ _KNOWN = {15: ("point", 1), 1: ("interval", 2), 2: ("triangle", 3), 3: ("quadril
           5: ("hexahedron", 8), 8: ("interval", 2), 9: ("triangle", 3), 10: ("quadrilateral", 4),
           11: ("tetrahedron", 4), 12: ("hexahedron", 8), 16: ("quadrilateral", 4), 17: ("hexahedron", 8)}  # fmt: skip
 _CURVED = set(range(8, 18)) - {15}
-_TENSOR = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}  # DOLFINx's order of their vertices
+# DOLFINx counts vertices by coordinates, Gmsh and VTK go around a face; the permutation is its own inverse
+AROUND = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 _KINDS = ("point", "curve", "surface", "volume")
 _NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
 _LISTED = 5  # entities in a message
@@ -75,8 +76,7 @@ def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         materials, pieces = (), [(0, tag) for tag in filled]
     cells, material = _joined(pieces, rows, dim)
     _, surface = _joined([(tag, tag) for _, tag in pieces], rows, dim)
-    if cell in _TENSOR:
-        cells = cells[:, _TENSOR[cell]]
+    cells = cells[:, AROUND.get(cell, slice(None))]
     validate_mesh(coordinates, cells)
 
     parts = tuple(groups[dim - 1])
