@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from fenicsx_obstacle import polynomials
-from fenicsx_obstacle.data.measured.surface import EDGE, Surface, parts, runs
 from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Enclosed
 
+EDGE = 1e-9  # of its size: how far outside the data a point may lie
+AT_ONCE = 2_000_000  # values of a table that are looked at together
 _FAR = 1e150  # the ends of the other axis of data along one axis
 _MARGIN = 1 + 1e-12  # for round-off in bounds of slopes
 _ROUND_OFF = 1e-14  # of the largest height: of sums in an interpolant
 _SNAP = 1e-11  # of its length: an end of a cell so near a line of the grid is on it
 
 
-class Grid(Surface):
-    """Values z at the points of a grid, whose lines need not be at equal distances."""
+class Grid:
+    """Values z at the points of a grid, whose lines need not be at equal distances.
+
+    Attributes:
+        low: Least coordinates that it covers, shape (2,).
+        high: Largest coordinates.
+        spacing: Distance of neighbouring data, the median of all.
+    """
 
     def __init__(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray):
         """Take it.
@@ -36,6 +44,7 @@ class Grid(Surface):
         self._slopes = np.diff(self.z, axis=0) / steps[0][:, None], np.diff(self.z, axis=1) / steps[1]
 
     def at(self, points: np.ndarray) -> np.ndarray:
+        """Heights at points, shape (n, 2); not-a-number outside."""
         cells, shares, outside = [], [], np.zeros(len(points), dtype=bool)
         for axis, p in zip(self.axes, points.T, strict=True):
             margin = EDGE * (axis[-1] - axis[0])
@@ -179,3 +188,20 @@ def gradients(corners: np.ndarray, values: np.ndarray) -> np.ndarray:
             across = np.column_stack([d * rises[:, 0] - b * rises[:, 1], a * rises[:, 1] - c * rises[:, 0]])
             found = across / (a * d - b * c)[:, None]
     return np.where((rises == 0).all(axis=1, keepdims=True), 0.0, found)
+
+
+def runs(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Items counted row by row: the row of each item, its number within the row, and where rows start."""
+    starts = np.cumsum(counts) - counts
+    rows = np.repeat(np.arange(len(counts)), counts)
+    return rows, np.arange(len(rows)) - starts[rows], starts
+
+
+def parts(counts: np.ndarray) -> Iterator[slice]:
+    """Slices of rows that have `AT_ONCE` items at most, or one row."""
+    ends, start = np.cumsum(counts), 0
+    while start < len(counts):
+        before = ends[start - 1] if start else 0
+        end = max(start + 1, int(np.searchsorted(ends, before + AT_ONCE, "right")))
+        yield slice(start, end)
+        start = end

@@ -13,7 +13,6 @@ import numpy as np
 
 from fenicsx_obstacle.data.measured.grid import Grid, OnGrid
 from fenicsx_obstacle.data.measured.read import Heights, numbers, of_arrays, read
-from fenicsx_obstacle.data.measured.surface import Surface
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
@@ -122,7 +121,7 @@ class MeasuredField(Field):
 
     # reading
 
-    def _made(self, heights: Heights) -> Surface:
+    def _made(self, heights: Heights) -> Grid | Triangulated:
         if heights.matrix is not None:
             return self._grid(*self._of_matrix(heights))
         self._check_extents()
@@ -194,7 +193,7 @@ class MeasuredField(Field):
                 "replace them, or remove these points: the others are then triangulated"
             )
 
-    def _of_points(self, points: np.ndarray) -> Surface:
+    def _of_points(self, points: np.ndarray) -> Grid | Triangulated:
         """A grid if the points are one, else triangles between them."""
         x, y = (_lines(points[:, axis]) for axis in (0, 1))
         if len(x) * len(y) == len(points) and min(len(x), len(y)) > 1:
@@ -216,7 +215,7 @@ class MeasuredField(Field):
             raise InputError(f"{self._name}: {counted(len(points), 'point')} that span no area") from None
         return self._triangulated(points[:, :2], points[:, 2], triangles)
 
-    def _grid(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray) -> Surface:
+    def _grid(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray) -> Grid | Triangulated:
         width = self._number("smooth", self.table.smooth)
         if width < 0:
             raise InputError(f"{self._name}: smooth = {width:g}: must not be negative")
@@ -232,7 +231,7 @@ class MeasuredField(Field):
             z = gaussian_filter(z, [width / step.mean() for step in steps], mode="nearest")
         return Grid(x, y, z + self._shift[2])
 
-    def _triangulated(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray) -> Surface:
+    def _triangulated(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray) -> Grid | Triangulated:
         if self.table.smooth:
             raise InputError(f"{self._name}: smooth is for heights on a grid")
         try:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenicsx_obstacle.data.measured.surface import EDGE, Surface, parts, runs
+from fenicsx_obstacle.data.measured.grid import EDGE, parts, runs
 
 _INSIDE = 1e-9  # how far a barycentric coordinate may be below 0
 
 
-class Triangulated(Surface):
-    """Linear on triangles; where some lie above others the highest counts. It is known by samples alone."""
+class Triangulated:
+    """Linear on triangles; where some lie above others the highest counts. It is known by samples alone.
+
+    Attributes:
+        low: As those of `Grid`.
+        high: Too.
+        spacing: Too.
+    """
 
     def __init__(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray):
         """Take them.
@@ -61,6 +67,7 @@ class Triangulated(Surface):
         return np.stack([1 - second - third, second, third], axis=-1)
 
     def at(self, points: np.ndarray) -> np.ndarray:
+        """Heights at points, shape (n, 2); not-a-number outside."""
         margin = EDGE * (self.high - self.low)
         box = self._box(points)
         number = np.ravel_multi_index(tuple(box.T), self._boxes)
