@@ -126,7 +126,7 @@ def test_cells_that_are_in_no_group(folder):
     level = level_of(file_of(folder, draw))
     assert set(level.groups) == {"steel"} and total(COMM, len(level.groups["steel"])) == level.cells
     (remark,) = level.remarks
-    assert remark.startswith("surface 2 is in no physical group") and remark.endswith("not part of the mesh")
+    assert remark.startswith("1 surface in no physical group, such as 2:") and remark.endswith("not part of the mesh")
 
 
 @pytest.mark.slow

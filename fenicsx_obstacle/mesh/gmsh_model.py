@@ -21,7 +21,6 @@ _CURVED = set(range(8, 18)) - {15}
 AROUND = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 _KINDS = ("point", "curve", "surface", "volume")
 _NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
-_LISTED = 5  # entities in a message
 SAMPLES = 9  # of a curve; of a surface in each direction
 ROUNDS = 5  # in which a point comes to lie on two surfaces
 
@@ -70,8 +69,9 @@ def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         pieces = [(number, tag) for number, name in enumerate(materials) for tag in groups[dim][name]]
         lost = [tag for tag in filled if tag not in grouped]
         if lost:
+            which = f"{counted(len(lost), _KINDS[dim])} in no physical group, such as {lost[0]}"
             count = counted(sum(len(rows[dim, tag]) for tag in lost), "cell")
-            remarks.append(f"{_listed(_KINDS[dim], lost)} in no physical group: {count} not part of the mesh")
+            remarks.append(f"{which}: {count} not part of the mesh")
     else:
         materials, pieces = (), [(0, tag) for tag in filled]
     cells, material = _joined(pieces, rows, dim)
@@ -253,11 +253,3 @@ def _on_mesh(cell: str, cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
     candidates = [side[marked[side].all(axis=1)] for side in sides]
     known = {tuple(row) for row in np.sort(np.concatenate(candidates), axis=1).tolist()}
     return np.array([tuple(row) in known for row in np.sort(facets, axis=1).tolist()], dtype=bool)
-
-
-def _listed(kind: str, tags: Iterable[int]) -> str:
-    """'surface 2 is', 'surfaces 2, 5 are'."""
-    tags = list(tags)
-    more = f" and {len(tags) - _LISTED} more" if len(tags) > _LISTED else ""
-    plural = len(tags) > 1
-    return f"{kind}{'s' * plural} {', '.join(map(str, tags[:_LISTED]))}{more} {'are' if plural else 'is'}"

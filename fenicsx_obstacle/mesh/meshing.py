@@ -187,7 +187,10 @@ def _run(source: str, target: str) -> int:
     if cad := suffix in GEOMETRY[1:]:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", PER_TURN)
-    given = _given(Path(target))
+    given: dict[str, np.ndarray] = {}  # the points to be moved; none where a mesh is wanted
+    if Path(target).exists():
+        with np.load(target, allow_pickle=False) as stored:
+            given = dict(stored)
     try:
         with open(target, "wb") as out:  # opened before the process may open no file
             if not confine() and suffix == ".geo":
@@ -217,14 +220,6 @@ def _run(source: str, target: str) -> int:
         sys.stdout.write(f"{error}\n")
         return 1
     return 0
-
-
-def _given(file: Path) -> dict[str, np.ndarray]:
-    """The points to be moved; none where a mesh is wanted."""
-    if not file.exists():
-        return {}
-    with np.load(file, allow_pickle=False) as stored:
-        return dict(stored)
 
 
 if __name__ == "__main__":
