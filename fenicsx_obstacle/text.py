@@ -65,6 +65,15 @@ def plain(value: Any) -> str:
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 
+def in_toml(value: Any) -> str:
+    """A value of a scene as it stands there, in one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key} = {in_toml(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(in_toml, value))}]"
+    return f'"{value}"' if isinstance(value, str) else plain(value)
+
+
 def short(value: Any) -> str:
     """A number or formula in few characters."""
     return f"{value:g}" if isinstance(value, float) else str(value)

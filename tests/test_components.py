@@ -149,7 +149,7 @@ def test_cells_of_the_callers_own_mesh():
     """A cell without area and cells on top of each other are rejected with their place, also by ObstacleProblem."""
     points = np.array([[0.0, 0], [1, 0], [1, 1], [0.5, 0.5], [0, 1], [1, 0.5]])
     for cells, words in (
-        ([[0, 1, 2], [0, 2, 3]], r"a triangle at \(0.5, 0.5, 0\) has no area"),
+        ([[0, 1, 2], [0, 2, 3]], r"the triangle at \(0.5, 0.5, 0\) has no area"),
         ([[0, 1, 2], [0, 2, 4], [0, 2, 5]], "cells lie on each other"),
         ([[0, 1, 2], [0, 2, 5]], "cells lie on each other"),
     ):

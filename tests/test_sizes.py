@@ -5,7 +5,6 @@ import pytest
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, Solution, Table, solve
-from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of, rim, with_levels, zero
 from tests.conftest import COMM
@@ -33,26 +32,6 @@ def test_cuts_of_cells_with_large_numbers(dim, count):
     cut, other = zero(expected, level), zero(found, np.concatenate([np.ones(position), level]))
     assert len(cut.cells)
     assert np.array_equal(cut.points[cut.cells], other.points[other.cells])
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-@pytest.mark.parametrize("side", [257, 300, 330])
-def test_measured_triangles_with_large_numbers(side):
-    """Triangles in any order fill a convex set also where their numbers, as Delaunay's, have 32 bits."""
-    axes = np.meshgrid(*[np.linspace(0, 1, side)] * 2, indexing="ij")
-    number = np.random.default_rng(side).permutation(side * side).astype(np.int32).reshape(side, side)
-    points = np.empty((side * side, 2))
-    points[number] = np.stack(axes, axis=-1)
-    corners = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    triangles = np.concatenate([np.stack([corners[k] for k in one], axis=-1).reshape(-1, 3) for one in
-                                ([0, 1, 2], [0, 2, 3])])  # fmt: skip
-    surface = Triangulated(points, points @ [1.0, 2.0], triangles)
-    assert triangles.dtype == np.int32
-    assert surface.continuous
-    places = np.random.default_rng(1).random((100, 2))
-    assert np.allclose(surface.at(places), places @ [1, 2])
-    assert not Triangulated(points, points @ [1.0, 2.0], np.delete(triangles, side * side // 2, axis=0)).continuous
 
 
 @pytest.mark.slow

@@ -242,36 +242,23 @@ def _named(problem: BodySystem, shares: np.ndarray) -> str:
         problem: Of the body.
         shares: Of the motions of `rigid_motions` in each, shape (found, motions).
     """
-    dim = problem.level.components
-    centre, size = _box(problem.level)
-    # first those without rotation, then the others without the part along these
-    _, strength, turns = np.linalg.svd(shares[:, dim:].T)
-    rank = int(np.sum(strength > SAME * np.abs(shares).max()))
-    moved, turned = turns[rank:] @ shares, turns[:rank] @ shares
-    along = np.linalg.svd(moved[:, :dim], full_matrices=False)[2]
-    turned[:, :dim] -= turned[:, :dim] @ along.T @ along
-    words = [f"translation along {_direction(one)}" for one in _aligned(along)]
-    for motion in turned if dim == 2 else _aligned(turned, dim):
-        shift, spin = motion[:dim], motion[dim:]
-        if dim == 2:  # u = spin (-y, x) + shift about the centre
-            point = np.array([-shift[1], shift[0]]) / spin
-            words.append(f"rotation about {place(np.round(centre[:2] + size * point, 9) + 0.0)}")
-        else:
-            axis = np.array([spin[2], -spin[1], spin[0]])  # of the pairs (1, 0), (2, 0), (2, 1)
-            point = centre + size * np.cross(axis, shift) / (axis @ axis)
-            words.append(f"rotation about the axis along {_direction(axis)} through {place(np.round(point, 9) + 0.0)}")
-    return ", ".join(words)
+    dim, (centre, size) = problem.level.components, _box(problem.level)
+    words = list[str]()
+    for motion in _aligned(np.roll(shares, -dim, axis=1)):  # rotations before translations
+        spin, shift = motion[:-dim], np.pad(motion[-dim:], (0, 3 - dim))
+        if np.abs(spin).max() <= SAME * np.abs(shift).max():
+            words.append(f"translation along {_direction(shift[:dim])}")
+            continue
+        axis = np.pad(spin, (0, 3 - len(spin)))[::-1] * [1, -1, 1]  # of the pairs (1, 0), (2, 0), (2, 1)
+        point = place(np.round(centre + size * np.cross(axis, shift) / (axis @ axis), 9)[:dim] + 0.0)
+        words.append(f"rotation about {point if dim == 2 else f'the axis along {_direction(axis)} through {point}'}")
+    return ", ".join(sorted(words, key=lambda one: one.startswith("rotation")))
 
 
-def _aligned(rows: np.ndarray, first: int = 0) -> np.ndarray:
-    """Other combinations of rows, in which each has a column of its own where that can be (local).
-
-    Args:
-        rows: Independent ones from the column `first` on.
-        first: The first of the columns to look at.
-    """
+def _aligned(rows: np.ndarray) -> np.ndarray:
+    """Other combinations of independent rows, in which each has a column of its own (local)."""
     columns, least = list[int](), SAME * np.abs(rows).max(initial=0.0)
-    for column in range(first, rows.shape[1]):
+    for column in range(rows.shape[1]):
         if np.linalg.matrix_rank(rows[:, [*columns, column]], tol=least) > len(columns):
             columns.append(column)
     return np.linalg.pinv(rows[:, columns]) @ rows

@@ -84,7 +84,7 @@ class Hypotheses:
         sampled = list(self._sampled)
         sampled += ["obstacle"] if any(side.sampled for side in obstacles) else []
         sampled += ["boundary value"] if self._rim.sampled else []
-        return in_words(found, sampled, polygon=level.polygonal is not True)
+        return in_words(found, sampled, polygon=not level.polygonal)
 
     def _near(self, cells: np.ndarray) -> str:
         """The first of some cells, in words; empty if there is none (collective)."""

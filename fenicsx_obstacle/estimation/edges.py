@@ -283,7 +283,7 @@ def cut_parts(simplices: Simplices) -> list[str]:
         truth = known.truth()
         holds, fails = (np.broadcast_to(may, len(cells)) for may in (truth.may_hold, truth.may_fail))
         wrong = np.where(held, fails, holds)
-        if level.polygonal is not True:
+        if not level.polygonal:
             wrong &= ~held
         mine = np.append(middle[np.argmax(wrong), 0], np.zeros(3 - dim)) if wrong.any() else None
         at = first_given(level.comm, mine)

@@ -17,10 +17,11 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.forms.pairs import Pair
-from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, in_vtk_order, to_hdf5, xdmf_mesh
+from fenicsx_obstacle.io.paraview import BY_CELL, SIMPLEX, to_hdf5, xdmf_mesh
 from fenicsx_obstacle.io.rows import Rows
 from fenicsx_obstacle.io.validation import VERTICES, share
 from fenicsx_obstacle.mesh.cells import given_cells, own_cells
+from fenicsx_obstacle.mesh.gmsh_model import AROUND
 from fenicsx_obstacle.mesh.levels import Level, of_pair
 from fenicsx_obstacle.mesh.named_parts import named
 from fenicsx_obstacle.parallel import agree, gathered
@@ -68,7 +69,7 @@ def own_mesh(level: Level, points: Rows, cells: Rows, parts: Arrays) -> dict[str
         return {}
     cell = releases.cell_name(level.mesh)
     used, vertices = _vertices(nodes, cell)
-    vertices = in_vtk_order(vertices, cell)
+    vertices = vertices[:, AROUND.get(cell, slice(None))]
     text = xdmf_mesh(OWN_MESH[1], places[used], vertices, cell)
     named_parts = {f"parts/{name}": values for name, values in _renumbered(parts, used).items()}
     arrays = {"points": places[used], "cells": vertices, **named_parts}

@@ -17,8 +17,6 @@ _TOPOLOGY = {
     "interval": "Polyline", "triangle": "Triangle", "tetrahedron": "Tetrahedron",
     "quadrilateral": "Quadrilateral", "hexahedron": "Hexahedron",
 }  # fmt: skip
-# VTK goes around a face where DOLFINx counts by coordinates
-_IN_VTK = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 
 
 def to_hdf5(arrays: Mapping[str, np.ndarray]) -> bytes:
@@ -53,13 +51,8 @@ def xdmf(mesh: Mapping[str, Array], moments: Mapping[float | None, Mapping[str, 
 
 
 def xdmf_mesh(file: str, points: np.ndarray, cells: np.ndarray, cell: str) -> str:
-    """A mesh alone, whose points, shape (n, gdim), and cells, `in_vtk_order`, an HDF5 file holds."""
+    """A mesh alone, whose points, shape (n, gdim), and cells, in the order of VTK, an HDF5 file holds."""
     return _document(f'<Grid Name="mesh" GridType="Uniform">\n{_mesh(file, points, cells, cell)}</Grid>\n')
-
-
-def in_vtk_order(cells: np.ndarray, cell: str) -> np.ndarray:
-    """Vertices of cells, given in DOLFINx's order, as XDMF has them."""
-    return cells[:, _IN_VTK.get(cell, slice(None))]
 
 
 def _document(grids: str) -> str:

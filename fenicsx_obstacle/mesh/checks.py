@@ -45,13 +45,6 @@ _REMEDY = (
     "in a .geo add, before the physical groups, BooleanFragments{ Volume{:}; Delete; }{} with "
     'SetFactory("OpenCASCADE") (of plane parts Surface{:}), and otherwise Coherence; then make the mesh again'
 )
-_CELLS = {
-    (2, 1): "an interval",
-    (3, 2): "a triangle",
-    (4, 3): "a tetrahedron",
-    (4, 2): "a quadrilateral",
-    (8, 3): "a hexahedron",
-}  # by vertices and dimension
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,24 +115,26 @@ def components(mesh: dmesh.Mesh) -> Components:
     return Components(count, np.argsort(list(by_place)).astype(np.int32)[labels])
 
 
-def check_mesh(mesh: dmesh.Mesh, source: str, *, curved: bool = False) -> tuple[Components, tuple[str, ...]]:
-    """Reject invalid meshes (collective).
+def check_degree(mesh: dmesh.Mesh, source: str, most: int) -> None:
+    """Reject curved cells of a degree above `most`, 1 for straight ones."""
+    if (degree := releases.geometry_degree(mesh)) > most:
+        raise InputError(f"{source}: the mesh has curved cells, of degree {degree}: make one with degree {most}")
+
+
+def check_mesh(mesh: dmesh.Mesh, source: str) -> tuple[Components, tuple[str, ...]]:
+    """Reject invalid meshes; curved cells are checked by their vertices (collective).
 
     Args:
         mesh: From a file, or the caller's own.
         source: Where it is from, for messages.
-        curved: Whether cells may be of degree 2; they are checked by their vertices.
 
     Returns:
         The connected components, and what the user should know.
 
     Raises:
-        InputError: If a cell is curved or has no volume, cells of simplices overlap, or parts of these touch without
-            shared nodes; naming a place.
+        InputError: If a cell has no volume, cells of simplices overlap, or parts of these touch without shared nodes;
+            naming a place.
     """
-    if (degree := releases.geometry_degree(mesh)) > 1 + curved:
-        wanted = "degree 1 or 2" if curved else "straight cells, of degree 1"
-        raise InputError(f"{source}: the mesh has curved cells, of degree {degree}: make one with {wanted}")
     wrong = _wrong_cell(mesh)
     if wrong is not None:
         raise InputError(f"{source}: {wrong}")
@@ -170,7 +165,7 @@ def _wrong_cell(mesh: dmesh.Mesh) -> str | None:
     if len(flat):
         word = {1: "length", 2: "area", 3: "volume"}[dim]
         wrong = f"has no {word}" if vertices.shape[1] == dim + 1 else f"has no {word} at a corner, or is not convex"
-        mine = f"{_CELLS[vertices.shape[1], dim]} at {place(vertices[flat[0]].mean(axis=0))} {wrong}"
+        mine = f"the {releases.cell_name(mesh)} at {place(vertices[flat[0]].mean(axis=0))} {wrong}"
     elif dim == mesh.geometry.dim:
         beside = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets)
         if beside.max(initial=0) > 2:

@@ -21,23 +21,18 @@ from fenicsx_obstacle.parallel import on_root
 GMSH = (".msh", *meshing.GEOMETRY)
 
 
-def read(path: Path, comm: MPI.Comm, *, curved: bool = False) -> Level:
+def read(path: Path, comm: MPI.Comm) -> Level:
     """The mesh of a file, with its named parts (collective).
-
-    Args:
-        path: The file.
-        comm: Communicator.
-        curved: Whether cells may be of degree 2.
 
     Raises:
         InputError: If the file is missing, broken, or has cells that DOLFINx does not take or that do not fit together.
     """
     on_root(comm, _check, path)
     if path.suffix.lower() in GMSH:
-        return _gmsh(path, comm, curved=curved)
+        return _gmsh(path, comm)
     from fenicsx_obstacle.mesh.xdmf import read_xdmf  # with h5py
 
-    return read_xdmf(path, comm, curved=curved)
+    return read_xdmf(path, comm)
 
 
 def content_of(path: Path) -> str:
@@ -69,7 +64,7 @@ def _check(path: Path) -> None:
         raise InputError(f"{path}: a mesh file ends in .msh, .geo, .step (Gmsh) or .xdmf")
 
 
-def _gmsh(path: Path, comm: MPI.Comm, *, curved: bool) -> Level:
+def _gmsh(path: Path, comm: MPI.Comm) -> Level:
     kept: list[meshing.Arrays] = []  # points and cells stay on rank 0
 
     def load() -> meshing.Arrays:
@@ -94,7 +89,7 @@ def _gmsh(path: Path, comm: MPI.Comm, *, curved: bool) -> Level:
     bent = {(dim - 1, k): facets_of(on_curves, found.bent_entity, k) for k in entities}
     surfaces = np.unique(found.cell_entity[found.cell_entity > 0]).tolist()
     bent |= {(dim, k): cells_of(found.cell_entity, k) for k in surfaces}
-    level = of_mesh(mesh, str(path), named, groups, curved=curved)
+    level = of_mesh(mesh, str(path), named, groups)
     to_cad = partial(meshing.moved, path) if bent else None
     remarks = *found.remarks, *level.remarks
     return replace(level, straight=found.straight, remarks=remarks, bent=bent, to_cad=to_cad)

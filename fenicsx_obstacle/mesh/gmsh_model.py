@@ -17,10 +17,10 @@ _KNOWN = {15: ("point", 1), 1: ("interval", 2), 2: ("triangle", 3), 3: ("quadril
           5: ("hexahedron", 8), 8: ("interval", 2), 9: ("triangle", 3), 10: ("quadrilateral", 4),
           11: ("tetrahedron", 4), 12: ("hexahedron", 8), 16: ("quadrilateral", 4), 17: ("hexahedron", 8)}  # fmt: skip
 _CURVED = set(range(8, 18)) - {15}
-_TENSOR = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}  # DOLFINx's order of their vertices
+# DOLFINx counts vertices by coordinates, Gmsh and VTK go around a face; the permutation is its own inverse
+AROUND = {"quadrilateral": [0, 1, 3, 2], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 _KINDS = ("point", "curve", "surface", "volume")
 _NO_NAME = "Open CASCADE"  # with which names begin that a CAD file has for bodies without one
-_LISTED = 5  # entities in a message
 SAMPLES = 9  # of a curve; of a surface in each direction
 ROUNDS = 5  # in which a point comes to lie on two surfaces
 
@@ -69,14 +69,14 @@ def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         pieces = [(number, tag) for number, name in enumerate(materials) for tag in groups[dim][name]]
         lost = [tag for tag in filled if tag not in grouped]
         if lost:
+            which = f"{counted(len(lost), _KINDS[dim])} in no physical group, such as {lost[0]}"
             count = counted(sum(len(rows[dim, tag]) for tag in lost), "cell")
-            remarks.append(f"{_listed(_KINDS[dim], lost)} in no physical group: {count} not part of the mesh")
+            remarks.append(f"{which}: {count} not part of the mesh")
     else:
         materials, pieces = (), [(0, tag) for tag in filled]
     cells, material = _joined(pieces, rows, dim)
     _, surface = _joined([(tag, tag) for _, tag in pieces], rows, dim)
-    if cell in _TENSOR:
-        cells = cells[:, _TENSOR[cell]]
+    cells = cells[:, AROUND.get(cell, slice(None))]
     validate_mesh(coordinates, cells)
 
     parts = tuple(groups[dim - 1])
@@ -98,7 +98,7 @@ def arrays_of(model: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     plane = [tag for d, tag in rows if d == dim and _is_flat(model.getType(d, tag))]
     surface = np.where(np.isin(surface, plane), 0, surface) if dim == 2 < gdim else surface[:0]
     words = {
-        "cell": cell, "materials": materials, "parts": parts, "remarks": remarks, "straight": straight(model, dim),
+        "cell": cell, "materials": materials, "parts": parts, "remarks": remarks, "straight": _is_straight(model),
     }  # fmt: skip
     return words, {
         "points": points[:, :gdim], "cells": np.searchsorted(used, cells),
@@ -129,11 +129,8 @@ def ungrouped_cells(model: Any) -> list[str]:
     ]
 
 
-def join_bodies(model: Any) -> list[str]:
+def join_bodies(model: Any) -> None:
     """Let bodies of a CAD file that touch share the sides on which they do, so that these have common nodes.
-
-    Returns:
-        A remark on the bodies that do.
 
     Raises:
         InputError: If bodies overlap.
@@ -141,8 +138,7 @@ def join_bodies(model: Any) -> list[str]:
     dim = model.getDimension()
     bodies = model.getEntities(dim)
     if len(bodies) < 2 or dim < 2:
-        return []
-    before = _common_sides(model)
+        return
     _, pieces = model.occ.fragment(bodies[:1], bodies[1:])
     model.occ.synchronize()
     owner: dict[int, int] = {}
@@ -152,15 +148,6 @@ def join_bodies(model: Any) -> list[str]:
                 at = place(np.array(model.occ.getCenterOfMass(dim, tag)))
                 what = f"{_KINDS[dim]}s {bodies[owner[tag]][1]} and {bodies[number][1]}"
                 raise InputError(f"{what} overlap at {at}; cut one from the other, in Gmsh by BooleanDifference")
-    if (common := _common_sides(model)) == before:
-        return []
-    return [f"{len(bodies)} {_KINDS[dim]}s of the file share nodes on {counted(common, 'side')} on which they touch"]
-
-
-def _common_sides(model: Any) -> int:
-    """How many sides two bodies of the highest dimension have in common."""
-    sides = model.getBoundary(model.getEntities(model.getDimension()), False, False)
-    return len(sides) - len(set(sides))
 
 
 def name_bodies(model: Any) -> None:
@@ -222,39 +209,10 @@ def _joined(
     )
 
 
-def straight(model: Any, dim: int) -> bool | None:
-    """Whether all CAD curves are straight lines and, in solids and on surfaces in space, all surfaces flat.
-
-    None where some have no CAD geometry, as in files that hold nothing but a mesh.
-    """
-    found = {dim: {tag for d, tag in model.getEntities(dim) if len(model.mesh.getElementTypes(d, tag))}}
-    for d in range(dim, 1, -1):
-        sides = model.getBoundary([(d, tag) for tag in found[d]], False, False)
-        inside = [one for tag in found[d] for one in model.mesh.getEmbedded(d, tag)]
-        for lower in range(1, d):
-            found.setdefault(lower, set()).update(tag for other, tag in (*sides, *inside) if other == lower)
-    meshed = {d: {t for t in tags if len(model.mesh.getElementTypes(d, t))} for d, tags in found.items()}
-    types = {d: {tag: model.getType(d, tag) for tag in meshed.get(d, ())} for d in (1, 2)}
-    known = {*types[1].values(), *types[2].values()}
-    # a compound of curves is meshed by way of a discrete one
-    discrete = any(model.getType(d, tag).startswith("Discrete") for d, tag in model.getEntities() if d in (1, 2))
-    if discrete or not known or known & {"", "Unknown"}:
-        return None
-    boxes = np.array([model.getBoundingBox(dim, tag) for tag in meshed[dim]])
-    in_plane = dim == 2 and np.ptp(boxes[:, [2, 5]]) <= 1e-6 * np.ptp(boxes)  # Gmsh widens its boxes by 1e-7
-    if set(types[1].values()) - {"Line"}:
-        return False
-    return bool(in_plane) or all(_flat(model, tag, kind) for tag, kind in types[2].items())
-
-
-def _flat(model: Any, surface: int, kind: str) -> bool:
-    """Whether a surface between straight lines is flat: a plane, or a filling of lines in a plane."""
-    if kind != "Surface":
-        return kind == "Plane"
-    corners = model.getBoundary([(2, surface)], False, False, True)
-    points = np.array([model.getValue(d, tag, []) for d, tag in corners])
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[2:].max(initial=0.0) <= 1e-9 * spread[0])
+def _is_straight(model: Any) -> bool:
+    """Whether all CAD curves are lines, and all surfaces planes; False also where there is no CAD geometry."""
+    kinds = {model.getType(d, tag) for d, tag in model.getEntities() if d in (1, 2)}
+    return kinds in ({"Line"}, {"Line", "Plane"})
 
 
 def _groups(model: Any, dim: int) -> dict[str, list[int]]:
@@ -295,11 +253,3 @@ def _on_mesh(cell: str, cells: np.ndarray, facets: np.ndarray) -> np.ndarray:
     candidates = [side[marked[side].all(axis=1)] for side in sides]
     known = {tuple(row) for row in np.sort(np.concatenate(candidates), axis=1).tolist()}
     return np.array([tuple(row) in known for row in np.sort(facets, axis=1).tolist()], dtype=bool)
-
-
-def _listed(kind: str, tags: Iterable[int]) -> str:
-    """'surface 2 is', 'surfaces 2, 5 are'."""
-    tags = list(tags)
-    more = f" and {len(tags) - _LISTED} more" if len(tags) > _LISTED else ""
-    plural = len(tags) > 1
-    return f"{kind}{'s' * plural} {', '.join(map(str, tags[:_LISTED]))}{more} {'are' if plural else 'is'}"

@@ -18,7 +18,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import P1, SIMPLICES, Pair, pairs
 from fenicsx_obstacle.mesh import bisection, parents
 from fenicsx_obstacle.mesh.cells import cell_volumes, corners, edge_lengths, own_cells
-from fenicsx_obstacle.mesh.checks import Components, check_mesh, components
+from fenicsx_obstacle.mesh.checks import Components, check_degree, check_mesh, components
 from fenicsx_obstacle.mesh.halving import Grid, halvings
 from fenicsx_obstacle.mesh.parents import Name
 from fenicsx_obstacle.mesh.reference_cell import lagrange_degree
@@ -46,8 +46,7 @@ class Level:
             first.
         parents: For each owned cell the row of the last of `grids`, or else the local cell of `coarse`, it came from.
         places: Where in it the corners of the cell are.
-        straight: Of a mesh from a file, whether its CAD curves are straight and, in solids, its surfaces flat; None
-            where the file does not say, and for the caller's own mesh.
+        straight: Whether a mesh is from a file that says that all CAD curves are lines, and all surfaces planes.
         remarks: What the user should know of the mesh, in words.
         connected: Connected components of a mesh from a file or the caller; None where they are not known yet.
         bent: Local facets on each curve (in solids, surface) of a .geo or .step that is not straight, and on surfaces
@@ -67,7 +66,7 @@ class Level:
     grids: tuple[Grid, ...] = ()
     parents: np.ndarray | None = None
     places: np.ndarray | None = None
-    straight: bool | None = None
+    straight: bool = False
     remarks: tuple[str, ...] = ()
     connected: Components | None = None
     bent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
@@ -138,8 +137,8 @@ class Level:
         return replace(self, coarse=below, grids=(), parents=mine).given(V=self.V)
 
     @property
-    def polygonal(self) -> bool | None:
-        """Whether the domain is exactly the polygon (polyhedron) of the mesh; None where that is unknown."""
+    def polygonal(self) -> bool:
+        """Whether the domain is known to be exactly the polygon (polyhedron) of the mesh."""
         return self.straight if self.shape is None else self.project is None
 
     @property
@@ -288,7 +287,8 @@ def of_space(
     if pair is None:
         raise InputError(f"{source}: no rule at the nodes of degree {degree} on a {cell} has positive weights (3.6): "
                          "take degree 1, or cells with another shape")  # fmt: skip
-    level = of_mesh(releases.settle(V.mesh), source, facets, curved=vector)
+    check_degree(V.mesh, source, 1 + vector)
+    level = of_mesh(releases.settle(V.mesh), source, facets)
     return (replace(level, pair=pair, vector=True) if vector else of_pair(level, pair)).given(V=V)
 
 
@@ -405,8 +405,6 @@ def of_mesh(
     source: str,
     facets: dict[str, np.ndarray] | None = None,
     groups: dict[str, np.ndarray] | None = None,
-    *,
-    curved: bool = False,
 ) -> Level:
     """A mesh that is not one of our shapes: h from the volumes of its cells (collective).
 
@@ -415,12 +413,11 @@ def of_mesh(
         source: Where it comes from, for messages.
         facets: Local facets of each named part.
         groups: Owned cells of each named material.
-        curved: Whether cells may be of degree 2.
 
     Raises:
         InputError: If its cells do not fit together.
     """
-    found, remarks = check_mesh(mesh, source, curved=curved)
+    found, remarks = check_mesh(mesh, source)
     return Level(mesh, _largest_side(mesh), facets or {}, groups or {}, remarks=remarks, connected=found)
 
 

@@ -57,7 +57,7 @@ class Arrays:
         bent: Rows of `points` of each facet on a CAD curve that is no line, in solids on a surface that is no plane.
         bent_entity: Gmsh's number of that curve or surface, for each of them.
         cell_entity: On surfaces in space Gmsh's number of the surface of each cell, 0 of a plane; otherwise empty.
-        straight: Whether all CAD curves are straight lines, and in solids all surfaces flat; None where unknown.
+        straight: Whether the file says that all CAD curves are lines, and all surfaces planes.
         remarks: What the user should know of the file.
         content: A hash of all this, and of samples of the geometry.
     """
@@ -73,7 +73,7 @@ class Arrays:
     bent: np.ndarray
     bent_entity: np.ndarray
     cell_entity: np.ndarray
-    straight: bool | None
+    straight: bool
     remarks: Sequence[str]
     content: str
 
@@ -187,14 +187,18 @@ def _run(source: str, target: str) -> int:
     if cad := suffix in GEOMETRY[1:]:
         gmsh.option.setNumber("Geometry.OCCImportLabels", 1)
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", PER_TURN)
-    given = _given(Path(target))
+    given: dict[str, np.ndarray] = {}  # the points to be moved; none where a mesh is wanted
+    if Path(target).exists():
+        with np.load(target, allow_pickle=False) as stored:
+            given = dict(stored)
     try:
         with open(target, "wb") as out:  # opened before the process may open no file
             if not confine() and suffix == ".geo":
                 why = "libseccomp2 is missing, or the system does not allow it"
                 raise InputError(f"a .geo is a program, which nothing confines here ({why}): mesh it in Gmsh")
             gmsh.open(source)
-            joined = join_bodies(gmsh.model) if cad else []
+            if cad:
+                join_bodies(gmsh.model)
             if given:
                 points = on_cad(gmsh.model, given["points"], given["rows"], given["entities"])
                 np.savez(out, points=points)
@@ -204,7 +208,6 @@ def _run(source: str, target: str) -> int:
             if suffix in GEOMETRY:
                 gmsh.model.mesh.generate(gmsh.model.getDimension())
             words, arrays = arrays_of(gmsh.model)
-            words["remarks"] = [*joined, *words["remarks"]]
             shape = np.empty(0)
             if suffix in GEOMETRY:
                 words["remarks"] += ungrouped_cells(gmsh.model)
@@ -217,14 +220,6 @@ def _run(source: str, target: str) -> int:
         sys.stdout.write(f"{error}\n")
         return 1
     return 0
-
-
-def _given(file: Path) -> dict[str, np.ndarray]:
-    """The points to be moved; none where a mesh is wanted."""
-    if not file.exists():
-        return {}
-    with np.load(file, allow_pickle=False) as stored:
-        return dict(stored)
 
 
 if __name__ == "__main__":

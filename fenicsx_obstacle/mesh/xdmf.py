@@ -21,7 +21,7 @@ from fenicsx_obstacle.mesh.validation import validate_mesh
 from fenicsx_obstacle.parallel import on_root
 
 
-def read_xdmf(path: Path, comm: MPI.Comm, *, curved: bool) -> Level:
+def read_xdmf(path: Path, comm: MPI.Comm) -> Level:
     """As `files.read` (collective)."""
     grid, tags, parts = on_root(comm, _grids, path)
     try:
@@ -38,7 +38,7 @@ def read_xdmf(path: Path, comm: MPI.Comm, *, curved: bool) -> Level:
                     groups |= {str(tag): _owned(mesh, found.find(tag)) for tag in values}
     except (RuntimeError, LookupError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    return of_mesh(mesh, str(path), facets, groups, curved=curved)
+    return of_mesh(mesh, str(path), facets, groups)
 
 
 def data_files(path: Path) -> list[Path]:

@@ -8,6 +8,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES, Pair
 from fenicsx_obstacle.mesh import files, shapes
+from fenicsx_obstacle.mesh.checks import check_degree
 from fenicsx_obstacle.mesh.levels import Level, halves_at_once, of_mesh, of_pair, refined
 from fenicsx_obstacle.mesh.memory import check_memory
 from fenicsx_obstacle.scenes.definitions import Definitions, pair_of
@@ -68,12 +69,12 @@ def _extents(scene: Definitions) -> tuple[object, ...]:
 
 def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
     """The coarsest level, how often to refine it, and the element."""
-    table, curved, pair = scene.tables.mesh, scene.of_body, scene.pair
+    table, pair = scene.tables.mesh, scene.pair
     refine = table.refine
     if (own := scene.own_mesh) is not None:
-        level = of_mesh(releases.settle(own.mesh), scene.source, own.facets, own.cells, curved=curved)
+        level = of_mesh(releases.settle(own.mesh), scene.source, own.facets, own.cells)
     elif table.file is not None:
-        level = files.read(scene.folder / table.file, comm, curved=curved)
+        level = files.read(scene.folder / table.file, comm)
         pair = pair_of(scene.tables, scene.source, releases.cell_name(level.mesh))
     else:
         shape = shape_of(scene)
@@ -82,6 +83,7 @@ def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
         check_memory(unknowns, dim, comm, scene.source, "'refine' fewer times" if refine else "take fewer 'cells'")
         mesh, sides, h, halvings = shapes.coarsest_grid(shape, comm)
         level, refine = Level(mesh, h, sides, shape=shape), refine + halvings
+    check_degree(level.mesh, scene.source if table.file is None else str(scene.folder / table.file), 1 + scene.of_body)
     cell = releases.cell_name(level.mesh)
     try:  # contact of elastic bodies has the rules of facets
         pair.rule("triangle" if scene.of_body and cell == "tetrahedron" else cell)

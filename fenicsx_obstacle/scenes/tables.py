@@ -12,11 +12,10 @@ import msgspec
 from msgspec import Meta, Struct
 
 from fenicsx_obstacle.algebra.options import MethodName, StartName
-from fenicsx_obstacle.data.measured.table import in_words
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.formulas import SHOWN
-from fenicsx_obstacle.text import nearest
+from fenicsx_obstacle.text import in_toml, nearest
 
 Value = float | str  # a number or a formula
 Numbers = tuple[Value, ...]
@@ -49,7 +48,7 @@ class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     smooth: Value = 0.0
 
     def __str__(self) -> str:
-        return in_words(msgspec.to_builtins(self))
+        return in_toml(msgspec.to_builtins(self))
 
 
 Datum = Value | DataTable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from hashlib import sha256
 from math import cos, isfinite, radians, sin
@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.data.measured.grid import Grid
+from fenicsx_obstacle.data.measured.grid import Grid, OnGrid
 from fenicsx_obstacle.data.measured.read import Heights, numbers, of_arrays, read
-from fenicsx_obstacle.data.measured.surface import OnSurface, Surface
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, in_toml
 
 KEYS = ("file", "x", "y", "range", "scale", "rotate", "shift", "smooth")
 _NOTHING = {"scale": 1.0, "rotate": 0.0, "smooth": 0.0}  # what changes no table
@@ -84,18 +83,7 @@ class Table:
         return {key: value for key, value in given.items() if value is not None and value != _NOTHING.get(key)}
 
     def __str__(self) -> str:
-        return in_words(self.in_toml | ({} if self.file is None else {"file": self.file}))
-
-
-def in_words(keys: Mapping[str, Any]) -> str:
-    """Keys of a table of measured data as in TOML."""
-    return "{" + ", ".join(f"{key} = {_toml(value)}" for key, value in keys.items()) + "}"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, str | Path):
-        return f'"{value}"'
-    return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list | tuple) else f"{value:g}"
+        return in_toml(self.in_toml | ({} if self.file is None else {"file": str(self.file)}))
 
 
 class MeasuredField(Field):
@@ -133,7 +121,7 @@ class MeasuredField(Field):
 
     # reading
 
-    def _made(self, heights: Heights) -> Surface:
+    def _made(self, heights: Heights) -> Grid | Triangulated:
         if heights.matrix is not None:
             return self._grid(*self._of_matrix(heights))
         self._check_extents()
@@ -205,7 +193,7 @@ class MeasuredField(Field):
                 "replace them, or remove these points: the others are then triangulated"
             )
 
-    def _of_points(self, points: np.ndarray) -> Surface:
+    def _of_points(self, points: np.ndarray) -> Grid | Triangulated:
         """A grid if the points are one, else triangles between them."""
         x, y = (_lines(points[:, axis]) for axis in (0, 1))
         if len(x) * len(y) == len(points) and min(len(x), len(y)) > 1:
@@ -227,7 +215,7 @@ class MeasuredField(Field):
             raise InputError(f"{self._name}: {counted(len(points), 'point')} that span no area") from None
         return self._triangulated(points[:, :2], points[:, 2], triangles)
 
-    def _grid(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray) -> Surface:
+    def _grid(self, x: np.ndarray, y: np.ndarray | None, z: np.ndarray) -> Grid | Triangulated:
         width = self._number("smooth", self.table.smooth)
         if width < 0:
             raise InputError(f"{self._name}: smooth = {width:g}: must not be negative")
@@ -243,7 +231,7 @@ class MeasuredField(Field):
             z = gaussian_filter(z, [width / step.mean() for step in steps], mode="nearest")
         return Grid(x, y, z + self._shift[2])
 
-    def _triangulated(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray) -> Surface:
+    def _triangulated(self, points: np.ndarray, z: np.ndarray, triangles: np.ndarray) -> Grid | Triangulated:
         if self.table.smooth:
             raise InputError(f"{self._name}: smooth is for heights on a grid")
         try:
@@ -272,7 +260,7 @@ class MeasuredField(Field):
 
     @property
     def continuous(self) -> bool:  # type: ignore[override]
-        return self.surface.continuous
+        return isinstance(self.surface, Grid)
 
     @property
     def pointwise(self) -> bool:
@@ -304,9 +292,9 @@ class MeasuredField(Field):
         return self.surface.at(self._inward(x[:2].T))
 
     def over(self, corners: np.ndarray, names: Names, cells: np.ndarray) -> Enclosed | None:
-        if not self.surface.continuous or corners.shape[2] != 2:
+        if not isinstance(self.surface, Grid) or corners.shape[2] != 2:
             return None
-        return OnSurface(self.surface, self._inward(corners))
+        return OnGrid(self.surface, self._inward(corners))
 
     def because(self, point: np.ndarray, names: Names) -> str:
         axes = "x" if self.along_x else "xy"

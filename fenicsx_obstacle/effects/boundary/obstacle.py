@@ -10,7 +10,7 @@ from fenicsx_obstacle.effects.effect import OnPart, Reader, register
 from fenicsx_obstacle.effects.field import Field
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.elasticity import ball_gap, plane_gap
-from fenicsx_obstacle.text import counted
+from fenicsx_obstacle.text import counted, in_toml
 
 KINDS = {"sphere": "centre", "cylinder": "centre", "box": "centre", "plane": "at", "table": None, "stl": None,
          "gap": None}  # what places each of them  # fmt: skip
@@ -106,7 +106,6 @@ class Obstacle(OnPart):
         value = reader.field(raw["gap"], f"{place}.gap") if kind == "gap" else None
         if kind in FROM_FILES:
             value = reader.value(raw[kind], f"{place}.{kind}")
-        words = ", ".join(f"{key} = {_plain(one)}" for key, one in raw.items())
         return cls(
             value, more["part"], kind,
             radius=positive(kind) if kind in HERTZ else 0.0, sizes=sizes,
@@ -114,7 +113,7 @@ class Obstacle(OnPart):
             direction=vector("plane" if kind == "plane" else "axis", unit=True),
             measured=vector("along", unit=True),
             force=positive("force") if "force" in raw else None,
-            travel=travel, moves=vector("moves", unit=True), words="{" + words + "}", source=source,
+            travel=travel, moves=vector("moves", unit=True), words=in_toml(raw), source=source,
         )  # fmt: skip
 
     def __str__(self) -> str:
@@ -161,12 +160,3 @@ class Obstacle(OnPart):
         if self.kind == "plane":
             return plane_gap(x, n, place, self.direction)
         return ball_gap(x, n, place, self.radius, self.direction or None)
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f'{key} = "{one}"' if key == "file" else f"{key} = {_plain(one)}"
-                               for key, one in value.items()) + "}"  # fmt: skip
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_plain, value))}]"
-    return str(value)
