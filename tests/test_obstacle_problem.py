@@ -512,15 +512,20 @@ def test_meshes_that_are_none():
 def test_obstacles_with_several_values_at_a_node(cell, degree):
     """An obstacle has one value at each node; otherwise the last cell, and so the number of ranks, would decide."""
     own = Membrane(8, cell, degree)
-    bent = fem.Function(own.V)
+    bent, straight = fem.Function(own.V), fem.Function(own.V)
     bent.interpolate(lambda x: 0.1 * np.abs(x[0] - 0.5))
-    gradient = ufl.inner(ufl.grad(bent), ufl.as_vector([1, 2]))
-    for wrong in (bent.dx(0) + 0.3, 0.3 + gradient, ufl.CellDiameter(own.mesh)):
-        with pytest.raises(InputError, match=r"upper is a UFL expression with .*: it has several values at a node"):
+    straight.interpolate(lambda x: 0.3 * x[0] - x[1])
+    for wrong in (bent.dx(0) + 0.3, 0.3 + ufl.inner(ufl.grad(bent), ufl.as_vector([1, 2]))):
+        with pytest.raises(InputError, match=r"upper is a UFL expression that is not continuous: at \(.*\) it is"):
             own.problem(upper=wrong)
     for wrong, word in ((ufl.FacetNormal(own.mesh)[0], "FacetNormal"), (ufl.avg(bent), "a restriction to one side")):
         with pytest.raises(InputError, match=f"upper holds {word}.*, which has no value at nodes"):
             own.problem(upper=wrong)
+    exact = own.problem().solve(method="vi")
+    size = ufl.CellDiameter(own.mesh) * 8 / 2**0.5
+    for same_one in (straight.dx(0), 0.3 * size):
+        found = own.problem(upper=same_one).solve(method="vi")
+        assert largest(COMM, np.abs(found.u.x.array - exact.u.x.array)) < 1e-9
 
 
 def test_common_mistakes():

@@ -32,8 +32,9 @@ from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Nam
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.points import ROUND_OFF, nearby, values_of
+from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.mesh.validation import place
-from fenicsx_obstacle.parallel import agree, first_given, total
+from fenicsx_obstacle.parallel import agree, first_given, largest, total
 from fenicsx_obstacle.text import one_line, plain, shown
 
 EXPECTED = "a number, a Constant, a Function, a UFL expression, a callable of x as Function.interpolate takes it, a \
@@ -42,7 +43,7 @@ Table, or a dict of these by the names of cells"
 
 HUGE = 1e20  # round-off of an interpolation times it is no round-off
 LARGEST = 1e300  # a sum over the cells around a point is finite
-SAME = 1e-8  # what a basis function may be by round-off, or a large value differ from another one
+SAME = 1e-8  # of the largest value: what values of cells at a common node may differ by
 
 
 Cellwise: TypeAlias = fem.Function | fem.Constant  # a datum in cells, as forms take it
@@ -335,11 +336,37 @@ class OfExpression(Field):
         taken = fem.Function(V)
         taken.interpolate(self._compiled(V))
         if _continuous(V) and _varies_by_cell(self.ufl):
-            raise InputError(
-                f"{self.source} is a UFL expression with derivatives of Functions or quantities of cells, such as "
-                "their size: it has several values at a node; project it onto a continuous space"
-            )
+            self._check_continuous(taken)
         return taken.x.array
+
+    def _check_continuous(self, taken: fem.Function) -> None:
+        """Reject an expression whose values at a node differ from cell to cell (collective).
+
+        Args:
+            taken: Its interpolant, which has the value of one of these cells.
+
+        Raises:
+            InputError: Naming a node, and two of the values there.
+        """
+        V = taken.function_space
+        degree = 2 if V.dofmap.dof_layout.entity_dofs(1, 0) else 1
+        by_cell = fem.Function(releases.functionspace(V.mesh, "DG", degree))
+        by_cell.interpolate(self._compiled(by_cell.function_space))
+        share(taken)
+        nodes = releases.cell_dofs(V)
+        values, others = taken.x.array[nodes], by_cell.x.array[releases.cell_dofs(by_cell.function_space)]
+        comm = V.mesh.comm
+        size = largest(comm, np.abs(np.where(np.isfinite(values), values, 0.0)))
+        bad = np.argwhere(np.abs(values - others) > SAME * size)[:1]
+        points = V.tabulate_dof_coordinates()[:, : V.mesh.geometry.dim]
+        found = [(points[nodes[i, j]].tolist(), values[i, j], others[i, j]) for i, j in bad]
+        places = [one for part in comm.allgather(found) for one in part]
+        if places:
+            point, value, other = min(places)
+            raise InputError(
+                f"{self.source} is a UFL expression that is not continuous: at {place(point)} it is {value:.4g} and "
+                f"{other:.4g} in two cells; project it onto a continuous space"
+            )
 
     def expression(self, symbols: Symbols) -> Any:
         return self.ufl + symbols.zero
