@@ -13,7 +13,7 @@ import ast
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 from dolfinx import fem
@@ -185,15 +185,10 @@ class Report:
     def _rule(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the vertices at points of quadrature of cells or facets, shape (n, vertices), and weights of sum
         1."""
-        return rule(dim) if self._reference.simplex or dim < 2 else self._grid(dim)
-
-    def _grid(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
+        if self._reference.simplex or dim < 2:
+            return rule(dim)
         ends, weights = rule(1, GAUSS_DEGREE)
-        x = ends[:, 1]
-        points = np.stack(np.meshgrid(*[x] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-        corner = np.array([[v >> axis & 1 for axis in range(dim)] for v in range(2**dim)])
-        at = np.prod(np.where(corner[None] == 1, points[:, None], 1 - points[:, None]), axis=2)
-        return at, np.prod(np.stack(np.meshgrid(*[weights] * dim, indexing="ij"), axis=-1).reshape(-1, dim), axis=1)
+        return reduce(np.kron, [ends] * dim), reduce(np.kron, [weights] * dim)
 
     def quadrature(self, expression: Formula, call: ast.Call) -> Iterator[Points]:
         """The points of the integral of an expression that a call names."""

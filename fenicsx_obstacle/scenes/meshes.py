@@ -57,13 +57,8 @@ def same(one: Definitions, other: Definitions) -> bool:
         return False
     if one.tables.mesh.shape is None:
         return one.folder == other.folder
-    return _extents(one) == _extents(other)
-
-
-def _extents(scene: Definitions) -> tuple[object, ...]:
-    """The values of the formulas in [mesh]."""
-    shape = shape_of(scene)
-    return shape.lower, shape.upper, shape.h
+    ends = [(shape.lower, shape.upper) for shape in map(shape_of, (one, other))]  # formulas may be in [mesh]
+    return ends[0] == ends[1]
 
 
 def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
