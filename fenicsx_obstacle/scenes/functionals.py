@@ -92,15 +92,9 @@ class Report:
             if self.data.model.radial and NORMAL_FLUX in formula.names:
                 raise InputError(f"{formula.place}: {NORMAL_FLUX} is for plane problems, not for axial symmetry")
             for node in ast.walk(formula.tree):
-                if isinstance(node, ast.Call) and name_of(node) == "integral":
-                    self._check_contact(formula, node)
                 match node:
-                    case ast.Call(func=ast.Name(id="integral"), args=[first, ast.Constant(value=str(name)) as part]):
-                        self._check_part(formula, formula.part(first), part, name)
-                    case ast.Call(
-                        func=ast.Name(id="integral"), args=[_, ast.Constant() as curve, ast.Constant() as of]
-                    ):
-                        self._check_side(formula, curve, of)
+                    case ast.Call(func=ast.Name(id="integral")):
+                        self._check_integral(formula, node)
                     case ast.Call(func=ast.Name(id="at"), args=[_, *coordinates]):
                         if len(coordinates) != dim:
                             message = f"at() needs {counted(dim, 'coordinate')} here, not {len(coordinates)}"
@@ -288,15 +282,20 @@ class Report:
         if NORMAL_FLUX in self.scene.needs(expression):
             self._check_normal_flux(formula, node, name)
 
-    def _check_contact(self, formula: Formula, call: ast.Call) -> None:
-        """Reject integrals over cells of what is on parts of the boundary only."""
+    def _check_integral(self, formula: Formula, call: ast.Call) -> None:
+        """Reject parts that the mesh does not have, and integrals over cells of what is on parts of the boundary only
+        (collective)."""
         expression = formula.part(Numbers(lambda _: 0.0).visit(deepcopy(call.args[0])))
-        parts, model = [str(node.value) for node in call.args[1:] if isinstance(node, ast.Constant)], self.data.model
-        over_cells = not parts or (len(parts) == 1 and self.over_cells(expression, parts[0]))
+        parts, model = [node for node in call.args[1:] if isinstance(node, ast.Constant)], self.data.model
+        over_cells = not parts or (len(parts) == 1 and self.over_cells(expression, str(parts[0].value)))
         found = [name for name in OF_CONTACT if name in self.scene.needs(expression)]
         if found and over_cells and (model.thin or model.vector_valued):
             message = f'the obstacle is on a part of the boundary: integral({found[0]}, "name of the part")'
             raise InputError(formula.pointing(call, message))
+        if len(parts) == 1:
+            self._check_part(formula, formula.part(call.args[0]), parts[0], str(parts[0].value))
+        elif parts:
+            self._check_side(formula, *parts)
 
     def over_cells(self, expression: Formula, name: str) -> bool:
         """Whether a name means cells in an integral: what facets alone have is integrated over facets of that name."""

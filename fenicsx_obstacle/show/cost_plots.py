@@ -111,7 +111,7 @@ def over_h_and_eps(rows: Rows) -> Any:
         axes.set(xscale="log", yscale="log", xlabel="h", ylabel="eps", title=NORMS.get(norm, "pressure, L2 norm"))
         drawn = axes.scatter(h, eps, 60, errors, "s", norm=LogNorm(), cmap="viridis_r")
         page.colorbar(drawn, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
-        curves = {
+        curves: dict[str, tuple[Any, dict[str, Any]]] = {
             "paper: eps = h$^2$": ([(row["h"], row["paper"]) for row in line], {"color": _ORANGE, "marker": "^"}),
             "auto: h$^2$/100": ([(row["h"], row["auto"]) for row in line], {"color": _PINK, "marker": "v"}),
             "largest eps without effect on the error": (
