@@ -28,7 +28,7 @@ from fenicsx_obstacle.show.figures import (
 from fenicsx_obstacle.show.maps import colours, draw_edges, hatch_obstacles, triangles
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
-SHOWN = 6  # moments in the picture of the fields
+SHOWN = 6  # moments in the picture of the fields, beside the one with the largest contact set
 LINES = 9  # free boundaries in it
 PER_SECOND = 10  # frames of the animation
 
@@ -200,14 +200,10 @@ class _Course:
 
 
 def _chosen(frames: Sequence[Frame]) -> list[int]:
-    """Numbers of the moments that are drawn: at equal distances, but one has the largest contact set."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, SHOWN).round().astype(int))
+    """Numbers of the moments that are drawn: at equal distances, and the one with the largest contact set."""
     sizes = [np.count_nonzero(frame.fields["contact"] > 0.5) for frame in frames]
-    most = int(np.argmax(sizes))
-    if sizes[most] > 0 and most not in chosen and len(chosen) > 2:
-        inner = chosen[1:-1]
-        inner[np.argmin(np.abs(inner - most))] = most
-    return sorted(map(int, chosen))
+    most = [int(np.argmax(sizes))] if any(sizes) else []
+    return sorted({*np.linspace(0, len(frames) - 1, SHOWN).round().astype(int).tolist(), *most})
 
 
 def _range(frames: Sequence[Frame], name: str) -> tuple[float, float]:
