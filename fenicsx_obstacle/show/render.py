@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.launcher import environment
 from fenicsx_obstacle.show.figures import INK
 
 PATIENCE = 120.0  # seconds
@@ -32,6 +31,7 @@ UPPER = 0.4  # opacity of an upper obstacle
 BESIDE = 1e-4  # of the widest side: distance of a cut from nodes, as cells are cut there into ones without area
 ABOVE_BODY = 3e-3  # the same: distance towards the eye of the pressure from the body that it presses
 GIVEN = "given.pickle"  # arrays and views, in the folder of a process
+_MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 _WORKER = [sys.executable, "-P", "-m", "fenicsx_obstacle.show.render"]
 
 
@@ -95,11 +95,13 @@ def rendered(arrays: Mapping[str, np.ndarray], views: Sequence[View]) -> tuple[l
         folder = Path(name)
         (folder / GIVEN).write_bytes(pickle.dumps((dict(arrays), list(views))))
         pictures = [folder / f"{number}.png" for number in range(len(views))]
+        # VTK must not take itself for a rank of our MPI
+        env = {key: value for key, value in os.environ.items() if not key.startswith(_MPI)}
         # VTK of Debian draws on a display only
         display = [] if os.getenv("DISPLAY") or not shutil.which("xvfb-run") else ["xvfb-run", "--auto-servernum"]
         worker = [*display, *_WORKER, name]
         try:
-            done = subprocess.run(worker, env=environment(), timeout=PATIENCE, capture_output=True, check=False)
+            done = subprocess.run(worker, env=env, timeout=PATIENCE, capture_output=True, check=False)
         except subprocess.TimeoutExpired:
             return [], f"pyvista took more than {PATIENCE:.0f} s"
         except OSError as error:
