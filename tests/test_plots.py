@@ -190,7 +190,7 @@ def test_curves_look_different():
 
 
 def test_moments_that_are_drawn():
-    """Of the moments in the picture of a course one has the largest contact set; first and last stay."""
+    """Six moments in the picture of a course are at equal distances, one more has the largest contact set."""
     frames = [Frame(t, {"contact": np.arange(8) < (5 if t == 4 else 0)}) for t in range(31)]
     chosen = _chosen(frames)
-    assert 4 in chosen and chosen[0] == 0 and chosen[-1] == 30 and len(chosen) == 6
+    assert 4 in chosen and chosen[0] == 0 and chosen[-1] == 30 and len(chosen) == 7

@@ -146,7 +146,7 @@ class Refinement:
             unknowns: No mesh has more.
         """
         least = self.least_unknowns[self.scene.pair.degree]
-        context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm, least))
+        context = SolverContext(self.scene, self.comm, meshes.build(self.scene, self.comm, least))
         benches = [context]
         try:
             while True:

@@ -20,8 +20,9 @@ from fenicsx_obstacle.text import nearest, plain
 
 MAX_OPERATIONS = 5000  # of an exact solution: it is differentiated and compiled
 OF_BODY = ("P1", "P2", "Q1", "Q2")  # elements of an elastic body
-COLUMNS = ("step", "dt", "newton", "krylov", "energy", "kinetic", "contact_area", "force_lower", "force_upper",
-           "penetration")  # fmt: skip
+# columns of history.csv, beside t: [report] has no quantity of their names
+COUNTS = ("step", "dt", "newton", "krylov")
+USUAL = ("energy", "kinetic", "contact_area", "force_lower", "force_upper", "penetration")
 
 
 def effects_of(given: Definitions) -> tuple[Effect, ...]:
@@ -207,7 +208,7 @@ def moments_of(given: Definitions, effects: Sequence[Effect]) -> TimeDiscretizat
             raise InputError(f"{source}: [effects] {moving[max(moving)]} needs a table [time] with end, steps, start")
         return None
     for name in given.tables.report:
-        if name in COLUMNS:
+        if name in (*COUNTS, *USUAL):
             raise InputError(f"{source}: [report] {name}: history.csv has a column of this name; choose another")
     order = max(moving, default=EQUILIBRIA)
     end = given.number(table.end, "[time] end")

@@ -13,7 +13,7 @@ import ast
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import partial
+from functools import partial, reduce
 
 import numpy as np
 from dolfinx import fem
@@ -92,15 +92,9 @@ class Report:
             if self.data.model.radial and NORMAL_FLUX in formula.names:
                 raise InputError(f"{formula.place}: {NORMAL_FLUX} is for plane problems, not for axial symmetry")
             for node in ast.walk(formula.tree):
-                if isinstance(node, ast.Call) and name_of(node) == "integral":
-                    self._check_contact(formula, node)
                 match node:
-                    case ast.Call(func=ast.Name(id="integral"), args=[first, ast.Constant(value=str(name)) as part]):
-                        self._check_part(formula, formula.part(first), part, name)
-                    case ast.Call(
-                        func=ast.Name(id="integral"), args=[_, ast.Constant() as curve, ast.Constant() as of]
-                    ):
-                        self._check_side(formula, curve, of)
+                    case ast.Call(func=ast.Name(id="integral")):
+                        self._check_integral(formula, node)
                     case ast.Call(func=ast.Name(id="at"), args=[_, *coordinates]):
                         if len(coordinates) != dim:
                             message = f"at() needs {counted(dim, 'coordinate')} here, not {len(coordinates)}"
@@ -185,15 +179,10 @@ class Report:
     def _rule(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
         """Weights of the vertices at points of quadrature of cells or facets, shape (n, vertices), and weights of sum
         1."""
-        return rule(dim) if self._reference.simplex or dim < 2 else self._grid(dim)
-
-    def _grid(self, dim: int) -> tuple[np.ndarray, np.ndarray]:
+        if self._reference.simplex or dim < 2:
+            return rule(dim)
         ends, weights = rule(1, GAUSS_DEGREE)
-        x = ends[:, 1]
-        points = np.stack(np.meshgrid(*[x] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-        corner = np.array([[v >> axis & 1 for axis in range(dim)] for v in range(2**dim)])
-        at = np.prod(np.where(corner[None] == 1, points[:, None], 1 - points[:, None]), axis=2)
-        return at, np.prod(np.stack(np.meshgrid(*[weights] * dim, indexing="ij"), axis=-1).reshape(-1, dim), axis=1)
+        return reduce(np.kron, [ends] * dim), reduce(np.kron, [weights] * dim)
 
     def quadrature(self, expression: Formula, call: ast.Call) -> Iterator[Points]:
         """The points of the integral of an expression that a call names."""
@@ -293,15 +282,20 @@ class Report:
         if NORMAL_FLUX in self.scene.needs(expression):
             self._check_normal_flux(formula, node, name)
 
-    def _check_contact(self, formula: Formula, call: ast.Call) -> None:
-        """Reject integrals over cells of what is on parts of the boundary only."""
+    def _check_integral(self, formula: Formula, call: ast.Call) -> None:
+        """Reject parts that the mesh does not have, and integrals over cells of what is on parts of the boundary only
+        (collective)."""
         expression = formula.part(Numbers(lambda _: 0.0).visit(deepcopy(call.args[0])))
-        parts, model = [str(node.value) for node in call.args[1:] if isinstance(node, ast.Constant)], self.data.model
-        over_cells = not parts or (len(parts) == 1 and self.over_cells(expression, parts[0]))
+        parts, model = [node for node in call.args[1:] if isinstance(node, ast.Constant)], self.data.model
+        over_cells = not parts or (len(parts) == 1 and self.over_cells(expression, str(parts[0].value)))
         found = [name for name in OF_CONTACT if name in self.scene.needs(expression)]
         if found and over_cells and (model.thin or model.vector_valued):
             message = f'the obstacle is on a part of the boundary: integral({found[0]}, "name of the part")'
             raise InputError(formula.pointing(call, message))
+        if len(parts) == 1:
+            self._check_part(formula, formula.part(call.args[0]), parts[0], str(parts[0].value))
+        elif parts:
+            self._check_side(formula, *parts)
 
     def over_cells(self, expression: Formula, name: str) -> bool:
         """Whether a name means cells in an integral: what facets alone have is integrated over facets of that name."""

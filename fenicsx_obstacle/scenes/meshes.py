@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
@@ -14,7 +16,7 @@ from fenicsx_obstacle.mesh.memory import check_memory
 from fenicsx_obstacle.scenes.definitions import Definitions, pair_of
 
 
-def build(scene: Definitions, comm: MPI.Comm) -> Level:
+def build(scene: Definitions, comm: MPI.Comm, unknowns: float = inf) -> Level:
     """The scene's mesh, refined as often as it says (collective).
 
     A shape begins with a coarser grid where that leads to the same vertices: the levels below serve multigrid.
@@ -22,33 +24,18 @@ def build(scene: Definitions, comm: MPI.Comm) -> Level:
     Args:
         scene: With the mesh.
         comm: Communicator; not used if the scene has a DOLFINx mesh.
+        unknowns: A level that has so many is not refined: with 0 the mesh is the coarsest one.
 
     Raises:
         InputError: If the mesh needs more memory than there is, or its file cannot be read.
     """
     level, refine, pair = _begin(scene, comm)
-    while refine:
-        times, dim = refine if halves_at_once(level) else 1, level.mesh.topology.dim
-        unknowns = level.dofs * (2.0**times * pair.degree) ** dim
-        check_memory(unknowns, dim, level.comm, scene.source, "'refine' fewer times")
+    dim = level.mesh.topology.dim
+    while refine and level.dofs * pair.degree**dim < unknowns:
+        times = refine if unknowns == inf and halves_at_once(level) else 1
+        finer = level.dofs * (2.0**times * pair.degree) ** dim
+        check_memory(finer, dim, level.comm, scene.source, "'refine' fewer times")
         level, refine = refined(level, times), refine - times
-    return of_pair(level, pair)
-
-
-def coarsest(scene: Definitions, comm: MPI.Comm, unknowns: float = 0) -> Level:
-    """The level that `build` begins with, or a finer one of those that it makes (collective).
-
-    Args:
-        scene: With the mesh.
-        comm: Communicator; not used if the scene has a DOLFINx mesh.
-        unknowns: A level with fewer is refined once more, where `build` would refine it.
-
-    Raises:
-        InputError: As `build`.
-    """
-    level, refine, pair = _begin(scene, comm)
-    while refine and level.dofs * pair.degree**level.mesh.topology.dim < unknowns:
-        level, refine = refined(level), refine - 1
     return of_pair(level, pair)
 
 
@@ -58,13 +45,8 @@ def same(one: Definitions, other: Definitions) -> bool:
         return False
     if one.tables.mesh.shape is None:
         return one.folder == other.folder
-    return _extents(one) == _extents(other)
-
-
-def _extents(scene: Definitions) -> tuple[object, ...]:
-    """The values of the formulas in [mesh]."""
-    shape = shape_of(scene)
-    return shape.lower, shape.upper, shape.h
+    ends = [(shape.lower, shape.upper) for shape in map(shape_of, (one, other))]  # formulas may be in [mesh]
+    return ends[0] == ends[1]
 
 
 def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:

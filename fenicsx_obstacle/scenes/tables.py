@@ -14,8 +14,7 @@ from msgspec import Meta, Struct
 from fenicsx_obstacle.algebra.options import MethodName, StartName
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import SHOWN
-from fenicsx_obstacle.text import in_toml, nearest
+from fenicsx_obstacle.text import in_toml, nearest, shown
 
 Value = float | str  # a number or a formula
 Numbers = tuple[Value, ...]
@@ -278,7 +277,7 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
     for name, table in typed.profile.items():
         if not re.fullmatch(r"[\w-]+", name) or len(name.encode()) > MAX_NAME:
             wanted = f"a name has letters, digits, _ and - only, at most {MAX_NAME} bytes"
-            raise InputError(f"{source}: [profile.{_short(name)}]: {wanted}")
+            raise InputError(f"{source}: [profile.{shown(name)}]: {wanted}")
         if (table.on is None) == (table.from_ is None) or (table.from_ is None) != (table.to is None):
             raise InputError(f"{source}: [profile.{name}]: needs the keys 'from' and 'to', or 'on'")
     return typed
@@ -292,7 +291,7 @@ def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
             of = f"shape = '{mesh.shape}'" if mesh.shape else "a mesh from a file"
             says = ", ".join(known[2:])
             raise InputError(
-                f"{source}: [mesh] {key} = {_short(given[key])}: does not belong to {of}; its keys are: {says}"
+                f"{source}: [mesh] {key} = {shown(given[key])}: does not belong to {of}; its keys are: {says}"
             )
 
 
@@ -334,17 +333,17 @@ def as_structure(raw: Any, kind: Any, place: str) -> Any:
     if match := re.match(r"Object contains unknown field `(.*)`", problem):
         struct = next(_structs(declared))
         hint = nearest(match[1], struct.__struct_encode_fields__)
-        raise InputError(f"{place} unknown {'table or key' if struct is Tables else 'key'} {_short(match[1])}{hint}")
+        raise InputError(f"{place} unknown {'table or key' if struct is Tables else 'key'} {shown(match[1])}{hint}")
     if match := re.match(r"Object missing required field `(.*)`", problem):
         raise InputError(f"{place} the key '{match[1]}' is missing")
     for step in re.findall(r"[^.\[\]]+", path.replace("[...]", "")):
         raw = raw[int(step)] if step.isdigit() else raw[step]
     if problem.startswith("Invalid enum value"):
         words = [word for one in (declared, *get_args(declared)) for word in get_args(one) if isinstance(word, str)]
-        raise InputError(f"{place} = {_short(raw)} is not known" + nearest(str(raw), words))
+        raise InputError(f"{place} = {shown(raw)} is not known" + nearest(str(raw), words))
     for word, plain in WORDS.items():
         problem = problem.replace(word, plain)
-    raise InputError(f"{place} = {_short(raw)}: {problem[0].lower()}{problem[1:]}")
+    raise InputError(f"{place} = {shown(raw)}: {problem[0].lower()}{problem[1:]}")
 
 
 def _structs(kind: Any) -> Iterator[Any]:
@@ -353,12 +352,6 @@ def _structs(kind: Any) -> Iterator[Any]:
         yield kind
     for part in get_args(kind):
         yield from _structs(part)
-
-
-def _short(found: Any) -> str:
-    """A value as TOML's reader has it, or its beginning."""
-    text = repr(found)
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]} ..."
 
 
 def set_values(raw: dict[str, Any], changes: Mapping[str, Any], source: str) -> None:

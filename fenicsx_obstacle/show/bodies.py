@@ -26,7 +26,6 @@ ARROW = 0.18  # length of the longest one, in units of the side of the picture
 ALONG = 1e-6  # cosine of the angle between the normal of a facet and a direction along it
 EYES = [(azimuth, sign * EYE[1]) for sign in (1, -1) for azimuth in (EYE[0] + 90.0 * np.arange(4)).tolist()]
 BETWEEN = 0.1  # of the size of the contact boundary: between its parts in a profile
-STRESS, SIZE = "von Mises stress, one value for each cell", "size of the displacement"
 
 
 def draw_body(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[float]) -> tuple[Any, str]:
@@ -51,13 +50,10 @@ def _flat(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequence[fl
     points, u, cells = arrays["points"][:, :2], arrays["u"][:, :2], arrays["cells"]
     low, high, whole, factor = _near(points, u, nodes)
     side, moved = float(np.max(high - low)), points + factor * u
-    colours, label = _stress(arrays)
-    shape = triangles(moved, cells)
-    if "von_mises" in arrays:
-        left.tripcolor(shape, facecolors=arrays["von_mises"], cmap=colours.cmap, norm=colours.norm, zorder=1)
-    else:
-        left.tripcolor(shape, np.linalg.norm(u, axis=1), shading="gouraud", cmap=colours.cmap, norm=colours.norm)
-    page.colorbar(colours, ax=left, shrink=0.85).set_label(label, fontsize=8.5)
+    values, label = _coloured(arrays)
+    colours = heights(values)
+    left.tripcolor(triangles(moved, cells), values, shading="gouraud", cmap=colours.cmap, norm=colours.norm)
+    page.colorbar(colours, ax=left, shrink=0.85).set_label(fill(label, 42), fontsize=8.5)
     edges, ours = rim(cells), _rows(points, nodes.points)
     draw_edges(left, moved, edges, colors="0.2", linewidths=0.9, zorder=3)
     if len(sides) == 1:
@@ -90,21 +86,20 @@ def _curves(edges: np.ndarray, ours: np.ndarray) -> list[np.ndarray]:
 def _profile(upper: Any, lower: Any, nodes: ContactTable, curves: Sequence[np.ndarray]) -> None:
     """Pressure and gap over the position along the contact boundary, a line for each connected part of it."""
     places, name = _positions(nodes.points, curves)
-    s, p = np.concatenate(places), np.concatenate([nodes.pressure[curve] for curve in curves])
-    gap = np.concatenate([np.where(np.isfinite(nodes.gap[curve]), nodes.gap[curve], np.nan) for curve in curves])
-    ends = np.cumsum([len(place) for place in places])[:-1]
-    for place, pressure, distance in zip(places, np.split(p, ends), np.split(gap, ends), strict=True):
-        upper.fill_between(place, pressure, color=VERMILION, alpha=0.25, linewidth=0)
-        upper.plot(place, pressure, color=VERMILION, marker=".", markersize=4)
-        lower.plot(place, distance, color=BLUE, marker=".", markersize=4)
+    gaps = np.where(np.isfinite(nodes.gap), nodes.gap, np.nan)
+    for place, curve in zip(places, curves, strict=True):
+        upper.fill_between(place, nodes.pressure[curve], color=VERMILION, alpha=0.25, linewidth=0)
+        upper.plot(place, nodes.pressure[curve], color=VERMILION, marker=".", markersize=4)
+        lower.plot(place, gaps[curve], color=BLUE, marker=".", markersize=4)
+    s, order = np.concatenate(places), np.concatenate(curves)
     for axis in (upper, lower):
         axis.axhline(0, color="0.6", linewidth=0.8)
-    pressed = s[p != 0]
+    pressed = s[nodes.pressure[order] != 0]
     if len(pressed):
         middle, half = (pressed.max() + pressed.min()) / 2, max(np.ptp(pressed), 0.1 * np.ptp(s))
         low, high = max(s.min(), middle - half), min(s.max(), middle + half)
         lower.set_xlim(low, high)
-        seen = gap[(s >= low) & (s <= high) & np.isfinite(gap)]
+        seen = gaps[order][(s >= low) & (s <= high) & np.isfinite(gaps[order])]
         if len(seen) and np.ptp(seen) > 0:
             lower.set_ylim(seen.min() - 0.05 * np.ptp(seen), seen.max() + 0.05 * np.ptp(seen))
     upper.set_ylabel("contact pressure p,\nat nodes", fontsize=9)
@@ -116,15 +111,10 @@ def _in_space(arrays: dict[str, np.ndarray], nodes: ContactTable, sides: Sequenc
     """The deformed body near the contact set, seen from there: its stress, and the pressure on the contact boundary."""
     points, cells, u = arrays["points"], arrays["cells"], arrays["u"]
     low, high, whole, factor = _near(points, u, nodes)
-    colours, label = _stress(arrays)
-    values = np.linalg.norm(u, axis=1)
-    if "von_mises" in arrays:
-        counts = np.bincount(cells.ravel(), minlength=len(points))
-        sums = np.bincount(cells.ravel(), np.repeat(arrays["von_mises"], cells.shape[1]), len(points))
-        values, label = sums / np.maximum(counts, 1), "von Mises stress, mean of the cells around each node"
+    values, label = _coloured(arrays)
     moved, page = points + factor * u, blank(10.4, 4.5)
     patch = Patch(moved, cells, {"stress": values, "pressure": arrays["pressure"], "contact": arrays["contact"]})
-    scales = {"stress": colours, "pressure": pressures(nodes.pressure)}
+    scales = {"stress": heights(values), "pressure": pressures(nodes.pressure)}
     given, kind = dict[str, Any](), "surface"
     if cells.shape[1] == 4:
         low, high = np.maximum(low, moved.min(axis=0)), np.minimum(high, moved.max(axis=0))
@@ -182,11 +172,14 @@ def _scaled(whole: bool, factor: float) -> str:
     return scale if whole else f"near the contact, {scale}"
 
 
-def _stress(arrays: dict[str, np.ndarray]) -> tuple[Any, str]:
-    """Colours of the body, and what they show."""
-    if "von_mises" in arrays:
-        return heights(arrays["von_mises"]), STRESS
-    return heights(np.linalg.norm(arrays["u"], axis=1)), SIZE
+def _coloured(arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, str]:
+    """Values at the nodes that colour the body, and what they are."""
+    if "von_mises" not in arrays:
+        return np.linalg.norm(arrays["u"], axis=1), "size of the displacement"
+    cells, count = arrays["cells"], len(arrays["points"])
+    sums = np.bincount(cells.ravel(), np.repeat(arrays["von_mises"], cells.shape[1]), count)
+    around = np.maximum(np.bincount(cells.ravel(), minlength=count), 1)
+    return sums / around, "von Mises stress, mean of the cells around each node"
 
 
 def _window(points: np.ndarray, nodes: ContactTable) -> tuple[np.ndarray, np.ndarray, bool]:

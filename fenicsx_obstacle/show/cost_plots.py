@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -95,68 +95,36 @@ def parts(rows: Rows) -> Any:
 
 
 def over_h_and_eps(rows: Rows) -> Any:
-    """The error as colours over h and eps, with the paper's rule, ours, the best eps and the region of round-off."""
+    """The error as the colour of a square for each solve, with the paper's rule, ours, the best eps, and those that are
+    rejected."""
     from matplotlib.colors import LogNorm
 
     places = [row for row in rows if row["choice"] == "map"]
-    shown = [norm for norm in (*NORMS, "pressure") if any(norm in row.get("errors", {}) for row in places)]
+    shown = [norm for norm in (*NORMS, "pressure") if any(relative(row, norm) for row in places)]
     shown = [norm for norm in shown if norm in ("energy", "l2", "max", "pressure") or norm in norms(rows)][:6]
     page, every = panels(len(shown), 11.5, 4.3)
-    sides = np.array(sorted({row["h"] for row in places}))
-    # each mesh has values of eps of its own: they go with the largest tension that its cells see
-    columns = [sorted((row for row in places if row["h"] == h), key=lambda row: row["eps"]) for h in sides]
-    heights = [_edges(np.array([row["eps"] for row in column])) for column in columns]
-    edges = _edges(sides), np.sort(np.concatenate(heights))
+    line = list({row["h"]: row for row in places}.values())
+    rejected = [(row["h"], row["eps"]) for row in places if "reason" in row]
     for axes, norm in zip(every, shown, strict=True):
-        found = [np.array([relative(row, norm) or np.nan for row in column]) for column in columns]
-        errors = np.concatenate(found)
-        scale = LogNorm(np.nanmin(errors), np.nanmax(errors))
-        for k, (height, part) in enumerate(zip(heights, found, strict=True)):
-            boxes = np.ma.masked_invalid(part[:, None])
-            drawn = axes.pcolormesh(edges[0][k : k + 2], height, boxes, norm=scale, cmap="viridis_r")
+        found = [(row["h"], row["eps"], error) for row in places if (error := relative(row, norm))]
+        h, eps, errors = np.array(found).T
+        axes.set(xscale="log", yscale="log", xlabel="h", ylabel="eps", title=NORMS.get(norm, "pressure, L2 norm"))
+        drawn = axes.scatter(h, eps, 60, errors, "s", norm=LogNorm(), cmap="viridis_r")
         page.colorbar(drawn, ax=axes, shrink=0.85).ax.tick_params(labelsize=7)
-        of_h = {row["h"]: row for row in places}
-        line = [of_h[h] for h in sides]
-        axes.loglog(sides, [row["paper"] for row in line], "^-", color="white", markeredgecolor="black",
-                    label="paper: eps = h$^2$")  # fmt: skip
-        axes.loglog(sides, [row["auto"] for row in line], "v-", color="#9ff7cf", markeredgecolor="black",
-                    label="auto: h$^2$/100")  # fmt: skip
-        best = largest_harmless_eps(rows, norm)
-        if best:
-            axes.loglog(*np.array(best).T, "*--", color="#ff9f80", markeredgecolor="black", markersize=10,
-                        label="largest eps without effect on the error")  # fmt: skip
-        _round_off(axes, line, places, edges)
-        axes.set(xlabel="h", ylabel="eps", title=NORMS.get(norm, "pressure, L2 norm"))
-        axes.set_xlim(edges[0][0], edges[0][-1])
-        axes.set_ylim(edges[1][0], edges[1][-1])
+        curves: dict[str, tuple[Any, dict[str, Any]]] = {
+            "paper: eps = h$^2$": ([(row["h"], row["paper"]) for row in line], {"color": _ORANGE, "marker": "^"}),
+            "auto: h$^2$/100": ([(row["h"], row["auto"]) for row in line], {"color": _PINK, "marker": "v"}),
+            "largest eps without effect on the error": (
+                largest_harmless_eps(rows, norm), {"color": _RED, "marker": "*", "linestyle": "--", "markersize": 10}),
+            "rejected": (rejected, {"color": _GREY, "marker": "x", "linestyle": ""}),
+        }  # fmt: skip
+        for label, (points, look) in curves.items():
+            if points:
+                axes.plot(*np.array(points).T, label=label, **look)
+        axes.margins(x=0.15)
     every[0].legend(fontsize=7, loc="upper left")
     page.suptitle(_title(rows, "Relative error over mesh and penalty parameter"), fontsize=11)
     return page
-
-
-def _round_off(axes: Any, line: Sequence[Any], places: Sequence[Any], edges: tuple[np.ndarray, np.ndarray]) -> None:
-    """Shade values of eps that are rejected, and those for which (u - obstacle)/eps is round-off."""
-    sides = np.array([row["h"] for row in line])
-    floor = np.array([row["floor"] for row in line])
-    wide = np.concatenate([[edges[0][0]], sides, [edges[0][-1]]])
-    if np.all(floor > 0):
-        floor = np.interp(np.log(wide), np.log(sides), np.log(floor))
-        axes.fill_between(wide, edges[1][0], np.exp(floor), facecolor="white", edgecolor="#555555", hatch="xx", lw=0)
-    lost = [max((row["eps"] for row in places if row["h"] == h and (row.get("line") or 0) > 1e-2), default=None)
-            for h in sides]  # fmt: skip
-    if all(lost):
-        axes.loglog(sides, lost, ":", color="white", linewidth=1.5)
-        axes.annotate("below: (u - obstacle)/eps is round-off", (sides[0], lost[0]), fontsize=6.5, color="white",
-                      textcoords="offset points", xytext=(2, -9))  # fmt: skip
-
-
-def _edges(values: np.ndarray) -> np.ndarray:
-    """Sides of the boxes around values, in the middle between logarithms."""
-    logs = np.log(values)
-    if len(logs) == 1:
-        return np.array([values[0] / 2, values[0] * 2])
-    middles = (logs[1:] + logs[:-1]) / 2
-    return np.exp(np.concatenate([[2 * logs[0] - middles[0]], middles, [2 * logs[-1] - middles[-1]]]))
 
 
 def _draw(axes: Any, rows: Rows, norm: str, price: Callable[[Any], float], *, floor: bool = False) -> None:

@@ -21,7 +21,7 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.boundary import SIDES, Patch, free_boundary, patch_of, with_levels
+from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import BLUE, figure, heading, legend_below, write_gif
 from fenicsx_obstacle.show.maps import draw_domain, draw_lines, triangles
 from fenicsx_obstacle.text import counted, title_of
@@ -29,7 +29,6 @@ from fenicsx_obstacle.text import counted, title_of
 PER_SECOND = 2  # steps
 REST = 4  # frames that the end stays
 KEPT, LEFT, ENTERED = BLUE, "#F0B27A", "#009E73"  # told apart by colour-blind readers, and by lightness
-CLOSE = 1e-12  # of the range of the exact u: a gap that is none
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -107,12 +106,13 @@ def animate_newton(answer: Answer, path: Path) -> str:
 
 def _animate(answer: Answer, arrays: Arrays, courses: Mapping[str, Sequence[Iterate]], path: Path) -> str:
     patch = patch_of(arrays)
-    line, whose = _free_boundary(patch)
+    line = free_boundary(patch)
     page, axes = figure(4.9 * len(courses), 5.6, columns=len(courses))
     panels = np.atleast_1d(axes)
     names = [_name(method, steps) for method, steps in courses.items()]
     colours = {"in contact": KEPT, "left in this step": LEFT, "entered": ENTERED}
-    legend_below(page, {label: {"facecolor": colour} for label, colour in colours.items()}, whose if line else "")
+    swatches = {label: {"facecolor": colour} for label, colour in colours.items()}
+    legend_below(page, swatches, "final free boundary" if line else "")
     eps = answer.record["eps"]
     title = heading(title_of(answer.scene.tables.title, answer.scene.name))
     page.suptitle(title if eps is None else f"{title}, eps = {eps:.2g}", fontsize=12)
@@ -143,19 +143,6 @@ def _draw(axis: Any, patch: Patch, name: str, steps: Sequence[Iterate], number: 
     what = f"step {now.number}: {now.step.changed} nodes changed" if now.number else "start"
     title = f"{name}\n{counted(now.dofs, 'node')}, {what}, {now.step.active} in contact"
     axis.set_title(title, fontsize=9.5, linespacing=1.4)
-
-
-def _free_boundary(patch: Patch) -> tuple[list[Patch], str]:
-    """The exact free boundary, or that of the answer if it is not known; and its name."""
-    fields = patch.fields
-    if "error" not in fields:
-        return free_boundary(patch), "final free boundary"
-    u = fields["u"] - fields["error"]
-    sides = {side: sign for side, sign in SIDES.items() if side in fields}
-    touching = {side: np.abs(u - fields[side]) <= CLOSE * np.ptp(u) for side in sides}
-    pressure = sum(sign * touching[side] for side, sign in sides.items())
-    exact = {"u": u, "pressure": pressure, "contact": np.any(list(touching.values()), axis=0).astype(float)}
-    return free_boundary(with_levels(Patch(patch.points, patch.cells, {**fields, **exact}))), "exact free boundary"
 
 
 def _name(method: str, steps: Sequence[Iterate]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame
+from fenicsx_obstacle.scenes.from_tables import COUNTS, USUAL
 from fenicsx_obstacle.show.boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
     BLUE,
@@ -27,9 +28,7 @@ from fenicsx_obstacle.show.figures import (
 from fenicsx_obstacle.show.maps import colours, draw_edges, hatch_obstacles, triangles
 
 HISTORY, ANIMATION = "history.png", "answer.gif"
-COUNTS = ("step", "t", "dt", "newton", "krylov")
-USUAL = ("energy", "kinetic", "contact_area", "force_lower", "force_upper", "penetration")
-SHOWN = 6  # moments in the picture of the fields
+SHOWN = 6  # moments in the picture of the fields, beside the one with the largest contact set
 LINES = 9  # free boundaries in it
 PER_SECOND = 10  # frames of the animation
 
@@ -73,7 +72,7 @@ class _Course:
 
     def draw(self, path: Path) -> str:
         """Draw the figures of all steps over t, with the fields at some moments where there are any."""
-        names = list(dict.fromkeys(name for row in self._history.rows for name in row if name not in COUNTS))
+        names = list(dict.fromkeys(name for row in self._history.rows for name in row if name not in ("t", *COUNTS)))
         names = [name for name in names if name not in USUAL] + [name for name in names if name in USUAL[:-1]]
         values = {name: self._history.column(name) for name in names}
         columns = {name: column for name, column in values.items() if np.isfinite(column).any()}
@@ -201,14 +200,10 @@ class _Course:
 
 
 def _chosen(frames: Sequence[Frame]) -> list[int]:
-    """Numbers of the moments that are drawn: at equal distances, but one has the largest contact set."""
-    chosen = np.unique(np.linspace(0, len(frames) - 1, SHOWN).round().astype(int))
+    """Numbers of the moments that are drawn: at equal distances, and the one with the largest contact set."""
     sizes = [np.count_nonzero(frame.fields["contact"] > 0.5) for frame in frames]
-    most = int(np.argmax(sizes))
-    if sizes[most] > 0 and most not in chosen and len(chosen) > 2:
-        inner = chosen[1:-1]
-        inner[np.argmin(np.abs(inner - most))] = most
-    return sorted(map(int, chosen))
+    most = [int(np.argmax(sizes))] if any(sizes) else []
+    return sorted({*np.linspace(0, len(frames) - 1, SHOWN).round().astype(int).tolist(), *most})
 
 
 def _range(frames: Sequence[Frame], name: str) -> tuple[float, float]:

@@ -283,7 +283,7 @@ class CostStudy:
             self.ends[choice.name] = str(last["reason"])
             return
         if self._dim is None:
-            self._dim = meshes.coarsest(scene, self.comm).mesh.topology.dim
+            self._dim = meshes.build(scene, self.comm, 0).mesh.topology.dim
         dim, halved = self._dim, scene.tables.mesh.shape is None
         growth = GROWTH if choice.adaptive else float((2 if halved else FACTOR[dim]) ** dim)
         times = [row["seconds"] for row in rows]

@@ -40,7 +40,7 @@ class ExactReference:
         """Find contact area and force of the exact solution (collective)."""
         assert scene.exact is not None
         self.solution = scene.exact
-        self._contact = exact_contact(scene.model, scene.exact, meshes.coarsest(scene, comm))
+        self._contact = exact_contact(scene.model, scene.exact, meshes.build(scene, comm, 0))
         self.record: dict[str, Any] = {"exact": True, **self._contact}
         self._exact: tuple[SolverContext, Exact] | None = None
         self.occupied = 0.0
