@@ -369,11 +369,22 @@ class Body:
                 break
         return travel
 
+    def _admissible(self, share: float) -> str:
+        """Loads that make displacements by this factor smaller, in words: with Hertz's contact slopes grow like the
+        square root of the force, of balls like its cube root."""
+        dim, forces = self.level.mesh.geometry.dim, []
+        for one in self.facing:
+            if one.obstacle.force is not None:
+                forces.append(one.obstacle.force * share ** (dim if one.obstacle.radius else 1))
+        if not forces:
+            return f"loads up to about {share:.2g} times these"
+        return f"a force up to about {', '.join(f'{force:.2g}' for force in forces)}"
+
     def _check_small(self, solution: Solution) -> None:
         """Reject solutions that are no small displacements (collective).
 
         Raises:
-            InputError: With the slope or the displacement, and its place.
+            InputError: With the slope or the displacement, its place, and the loads that are admissible.
         """
         level, reference = self.level, Reference(self.level.mesh)
         cells, middle = np.arange(own_cells(level.mesh)), reference.weights(reference.vertices.mean(axis=0))
@@ -388,12 +399,12 @@ class Body:
             found = largest(level.comm, values)
             if found > most:
                 mine = points[np.argmax(values)] if np.max(values, initial=0.0) == found else None
-                at = first_given(level.comm, mine)
+                at, share = first_given(level.comm, mine), most / found
                 assert at is not None
                 raise InputError(
                     f"{self.model.source}: displacements with {what} up to {found:.2g}{of_body}, at "
                     f"{self.data.place(at)}: elasticity is for small ones, up to {most:g}; take "
-                    "smaller loads, a stiffer body, or an obstacle that is nearer"
+                    f"{self._admissible(share)}, a stiffer body, or an obstacle that is nearer"
                 )
 
     def _faced(self, obstacle: Obstacle) -> Facing:
