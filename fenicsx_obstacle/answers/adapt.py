@@ -85,6 +85,37 @@ class Budget:
         return cls(**limits)
 
 
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The estimated error of a quantity on one mesh.
+
+    Attributes:
+        value: The quantity there.
+        discretisation: Part of the mesh, >= 0.
+        penalty: Part of the penalty, >= 0.
+        indicator: Contribution of each owned cell.
+        dofs: Unknowns of the finest mesh that it took.
+        unknowns: Of all meshes that it took together.
+    """
+
+    value: float
+    discretisation: float
+    penalty: float
+    indicator: np.ndarray
+    dofs: int
+    unknowns: int
+
+    @property
+    def total(self) -> float:
+        """The estimate."""
+        return self.discretisation + self.penalty
+
+    @property
+    def relative(self) -> float | None:
+        """The error over the absolute value; None where that is 0."""
+        return self.total / abs(self.value) if self.value != 0 else None
+
+
 @dataclass(frozen=True)
 class Work:
     """The work for one mesh of an adaptive refinement.
@@ -115,6 +146,7 @@ class Refinement:
     Attributes:
         scene: What is solved.
         options: How, with the present eps.
+        error: The bound or estimate on the last mesh.
         least_unknowns: Of the first mesh, by the degree of the elements, if the scene's own mesh has as many.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         work: Of each mesh so far.
@@ -123,6 +155,7 @@ class Refinement:
     """
 
     least_unknowns: Mapping[int, int] = {1: 0, 2: 0}
+    error: Bound | Estimate
 
     def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, budget: Budget | None = None):
         self.scene, self.options, self.full = scene, scene.options, False
@@ -150,10 +183,11 @@ class Refinement:
         benches = [context]
         try:
             while True:
-                answer, indicator = self.assessed(context)
+                answer = self.assessed(context)
                 yield context, answer
                 self._since = _now()
-                finer = context.refined(marked(indicator, self.share(answer), self.comm))
+                assert self.error.indicator is not None
+                finer = context.refined(marked(self.error.indicator, self.share(), self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -164,12 +198,11 @@ class Refinement:
         finally:
             close(benches)
 
-    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
-        """The answer on one mesh, and the part of its error in each owned cell (collective)."""
+    def assessed(self, context: SolverContext) -> Answer:
+        """The answer on one mesh, whose error is then `error` (collective)."""
         answer = self.balanced(context)
-        bound, dofs = _bound(answer), answer.record["dofs"]
-        self.note(answer, bound.total, bound.relative, dofs)
-        return answer, _indicator(answer)
+        self.note(answer, answer.dofs)
+        return answer
 
     def work_of(self, context: SolverContext, cells: np.ndarray) -> Work:
         """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
@@ -182,7 +215,7 @@ class Refinement:
         self.options, self.path, self.work = options, path, work
         return found
 
-    def share(self, answer: Answer) -> float:
+    def share(self) -> float:
         """The share of the error whose cells are refined next, for this element."""
         return BULK[self.scene.pair.degree]
 
@@ -192,57 +225,54 @@ class Refinement:
         def bounded() -> tuple[Answer, Bound]:
             first = not self.path and self._solves == 0  # a wrong exact solution is reported on the first mesh
             answer = context.answer(self.options, bound=True, errors=first)
-            return answer, _bound(answer)
+            assert answer.bound is not None
+            return answer, answer.bound
 
-        return self.with_eps(context, bounded)[0]
+        return self.with_eps(context, bounded)
 
-    def with_eps(self, context: SolverContext, solve: Callable[[], tuple[Answer, Any]]) -> tuple[Answer, Any]:
+    def with_eps(self, context: SolverContext, solve: Callable[[], tuple[Answer, Bound | Estimate]]) -> Answer:
         """Solve, and again with a smaller eps as long as the part of the penalty dominates (collective).
 
         Args:
             context: Of the mesh.
-            solve: Returns an answer and its error, with the parts `discretisation` and `penalty`.
+            solve: Returns an answer and its error.
         """
         self._solves = 0
-        answer, error = solve()
+        answer, self.error = solve()
         self._solves = 1
         chosen = answer.record["eps"] is not None and not self.given  # a number of the user is kept
-        while chosen and error.penalty > BALANCED * error.discretisation:
-            least, ahead = self.ahead(answer)
-            eps = answer.record["eps"] * max(least, ahead * BALANCED * error.discretisation / error.penalty)
+        while chosen and (before := self.error.penalty) > BALANCED * self.error.discretisation:
+            least, ahead = self.ahead()
+            eps = answer.record["eps"] * max(least, ahead * BALANCED * self.error.discretisation / before)
             if (eps := max(eps, smallest_eps(context.problem))) >= answer.record["eps"]:
                 break
-            self.options, before = replace(self.options, eps=eps), error.penalty
-            answer, error = solve()
+            self.options = replace(self.options, eps=eps)
+            answer, self.error = solve()
             self._solves += 1
-            if error.penalty > 0.9 * before:  # round-off, or an obstacle that nodes do not see
+            if self.error.penalty > 0.9 * before:  # round-off, or an obstacle that nodes do not see
                 break
-        return answer, error
+        return answer
 
-    def ahead(self, answer: Answer) -> tuple[float, float]:
+    def ahead(self) -> tuple[float, float]:
         """By which factor eps is reduced at most, and how small the part of the penalty is to become then, over what is
         necessary."""
         return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
 
-    def note(
-        self, answer: Answer, total: float, relative: float | None, unknowns: int, *, sampled: bool = False
-    ) -> None:
+    def note(self, answer: Answer, unknowns: int, *, sampled: bool = False) -> None:
         """Append a mesh to the path (collective).
 
         Args:
             answer: On this mesh.
-            total: Bound or estimate of the error.
-            relative: The same, relative; None where that is not defined.
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
             sampled: Whether it is an estimate from samples of the obstacles.
         """
         record, before, self._since = answer.record, self._since, _now()
         elapsed, seconds = (largest(self.comm, end - start) for start, end in zip(before, self._since, strict=True))
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
-        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
+        self.path.append({"dofs": record["dofs"], "total": self.error.total, "relative": self.error.relative,
                           "eps": record["eps"], "seconds": sum(work.elapsed for work in self.work),
                           "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
-        _log.info("%d unknowns: error %.3g", record["dofs"], total)
+        _log.info("%d unknowns: error %.3g", record["dofs"], self.error.total)
 
 
 class Adaptation(Refinement):
@@ -294,8 +324,8 @@ class Adaptation(Refinement):
         here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
-    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
-        """The answer on one mesh, and the part of its error in each owned cell (collective).
+    def assessed(self, context: SolverContext) -> Answer:
+        """The answer on one mesh, whose error is then `error` (collective).
 
         The error is bounded where the tolerance may be reached, and where errors do not fall any more.
         """
@@ -305,49 +335,48 @@ class Adaptation(Refinement):
         estimator = context.estimator
         estimator.sampled = self.estimates and self.comm.bcast(falls and not last)
         answer = self.balanced(context)
-        if estimator.sampled and _bound(answer).total <= self._limit(answer):
+        if estimator.sampled and self.error.total <= self.limit():
             answer = self._proved(context, answer)
-        bound = _bound(answer)
-        self.note(answer, bound.total, bound.relative, answer.record["dofs"], sampled=estimator.sampled)
-        return answer, _indicator(answer)
+        self.note(answer, answer.dofs, sampled=estimator.sampled)
+        return answer
 
-    def ahead(self, answer: Answer) -> tuple[float, float]:
+    def ahead(self) -> tuple[float, float]:
         """See `Refinement.ahead`; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
-        least, ahead = super().ahead(answer)
-        if self.scene.pair.degree == 1 or _bound(answer).total <= self._limit(answer):
+        least, ahead = super().ahead()
+        if self.scene.pair.degree == 1 or self.error.total <= self.limit():
             return least, ahead
-        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * self._limit(answer) / _bound(answer).total)
+        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * self.limit() / self.error.total)
 
     def _proved(self, context: SolverContext, answer: Answer) -> Answer:
         """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""
         context.estimator.sampled = False
-        bound = context.estimator.bound()
+        self.error = bound = context.estimator.bound()
         if self.path and self.path[-1]["sampled"] and self.path[-1]["dofs"] == answer.record["dofs"]:
             self.path[-1] |= {"total": bound.total, "relative": bound.relative, "sampled": False}
         record = {**answer.record, "bound": {**bound.record, "effectivity": None}}
         return replace(answer, bound=bound, record=record)
 
-    def share(self, answer: Answer) -> float:
+    def share(self) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
         above = ABOVE_ESTIMATE if self.path[-1]["sampled"] else 1.0
-        beyond = 1 - (self._limit(answer) / (above * _bound(answer).total)) ** 2
+        beyond = 1 - (self.limit() / (above * self.error.total)) ** 2
         degree = self.scene.pair.degree
         self._share = min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
         return self._share
 
-    def _limit(self, answer: Answer) -> float:
-        """The tolerance in the unit of the energy norm."""
-        bound = _bound(answer)
+    def limit(self) -> float:
+        """The tolerance in the unit of the error."""
+        total, relative = self.error.total, self.error.relative
         if not self.relative:
             return self.tolerance
-        if bound.relative is None and bound.total > 0:
+        if relative is None and total > 0:
             raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
-        return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
+        return self.tolerance * total / relative if relative else 0.0
 
     def finished(self, answer: Answer) -> str | None:
         """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
-        error, penalty, limit, unknowns = self.judged(answer)
-        if error <= limit:
+        limit, penalty = self.limit(), self.error.penalty
+        if self.error.total <= limit:
             return ""
         if isinstance(self.options.eps, float) and self.given and penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {penalty:.3g}; omit eps, so that it is chosen"
@@ -358,16 +387,12 @@ class Adaptation(Refinement):
             stop = f"the budget of {self.budget.seconds:g} s"
         if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
             stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not fits(GROWTH * unknowns, answer.level.mesh.topology.dim, self.comm):
+        finest = self.error.dofs if isinstance(self.error, Estimate) else answer.dofs
+        if not fits(GROWTH * finest, answer.level.mesh.topology.dim, self.comm):
             stop = "the memory of this machine"
         if self._stalls():
             stop = f"round-off: the last {STALLED} meshes have no smaller error"
         return self.comm.bcast(stop)
-
-    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
-        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
-        bound = _bound(answer)
-        return bound.total, bound.penalty, self._limit(answer), answer.record["dofs"]
 
     def _stalls(self) -> bool:
         """Whether refinement has no effect any more: no smaller error, and no larger mesh where errors fluctuate."""
@@ -399,17 +424,6 @@ def check_tolerance(relative: float | None, absolute: float | None) -> tuple[flo
 def _now() -> tuple[float, float]:
     """Elapsed time, and processor time of this thread."""
     return time.perf_counter(), time.thread_time()
-
-
-def _bound(answer: Answer) -> Bound:
-    assert answer.bound is not None
-    return answer.bound
-
-
-def _indicator(answer: Answer) -> np.ndarray:
-    indicator = _bound(answer).indicator
-    assert indicator is not None
-    return indicator
 
 
 def marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:
