@@ -133,10 +133,6 @@ class Study:
                 on_row(row, answer)
         return rows
 
-    def last_answer(self) -> Answer:
-        """The answer of the last row, for a study whose last row came from its store (collective)."""
-        return self.solve(*self.points[-1])
-
     def solve(self, combination: Mapping[str, Any], scene: Scene) -> Answer:
         """The answer of a scene with these values of the keys (collective)."""
         return self._solves.answer(combination, scene, uncertainty=self._uncertainty)

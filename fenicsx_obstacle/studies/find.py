@@ -105,7 +105,6 @@ class Find(Study):
             raise InputError(f"{scene.source}: target '{target}': its value depends on {self.key}; take a quantity of "
                              "[report] that is the difference, and the target 0")  # fmt: skip
         self.rows: dict[float, Row] = {}
-        self._nearest: tuple[float, Answer | None] = (math.inf, None)
         self.found = self.ends[1]
 
     @read_once()
@@ -125,7 +124,7 @@ class Find(Study):
         self._check_bracket(values)
         for x, (_, scene), (row, answer) in zip(self.ends, self.points, solved, strict=True):
             self._take(x, self.keep(row, scene), answer, on_row)
-        del solved
+        del solved, answer
 
         from scipy.optimize import brentq  # only where a target is looked for
 
@@ -150,23 +149,10 @@ class Find(Study):
         """The quantity in a row."""
         return self._value(row["vary"][self.key], row)
 
-    def last_answer(self) -> Answer:
-        """The answer of the row that was found (collective)."""
-        x, answer = self._nearest
-        if answer is not None and x == self.found:
-            return answer
-        return self.solve({self.key: self.found}, self.last)
-
     def _take(self, x: float, row: Row, answer: Answer | None, on_row: OnRow | None) -> None:
         self.rows[x] = row
-        best, _ = self._nearest
-        if not math.isfinite(best) or self._distance(x) < self._distance(best):
-            self._nearest = x, answer
         if on_row is not None:
             on_row(row, answer)
-
-    def _distance(self, x: float) -> float:
-        return abs(self._value(x, self.rows[x]) - self.target)
 
     def _value(self, x: float, row: Row) -> float:
         """The quantity in a row.
