@@ -26,7 +26,7 @@ from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.norms import Exact
+from fenicsx_obstacle.estimation.norms import Distance, Exact
 from fenicsx_obstacle.mesh.levels import Level, refined_where
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
@@ -86,7 +86,6 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         check_profiles(scene, level)
-        self._poisson: float | None = None
 
     def renewed(self, scene: Scene) -> SolverContext:
         """A solver context for other data on the same mesh; this one is freed, except for the mesh (collective).
@@ -102,7 +101,7 @@ class SolverContext:
         """Free everything but the mesh (collective)."""
         del self.problem
         self._levels = self._report = None
-        for cached in ("exact", "estimator"):
+        for cached in ("exact", "estimator", "distance", "inequality"):
             self.__dict__.pop(cached, None)
 
     def close(self) -> None:
@@ -143,9 +142,30 @@ class SolverContext:
             estimator.use_estimator_load()
         return estimator
 
+    @cached_property
+    def distance(self) -> Distance:
+        """Norms of differences on this mesh (first use is collective)."""
+        return Distance(self.problem)
+
+    @cached_property
+    def inequality(self) -> Answer:
+        """The solution of the variational inequality on this mesh (first use is collective).
+
+        Raises:
+            NotConverged: With PETSc's reason.
+        """
+        return self.answer(replace(self.scene.options, method="vi"), errors=False)
+
+    @cached_property
+    def poisson(self) -> float:
+        """Seconds of one linear Poisson solve on this mesh (first use is collective)."""
+        _log.info("timing a Poisson solve")
+        return self.problem.level.comm.bcast(poisson_seconds(self.problem.level))
+
     def forget_estimator(self) -> None:
-        """Free the estimator, some kB per node, when this mesh becomes a coarse level of another one."""
-        self.__dict__.pop("estimator", None)
+        """Free the estimator, some kB per node, and norms when this mesh becomes a coarse level of another one."""
+        for cached in ("estimator", "distance"):
+            self.__dict__.pop(cached, None)
 
     def forget_levels(self) -> None:
         """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
@@ -203,9 +223,8 @@ class SolverContext:
             last = stepper.run(restart, keep)
             time_history, counts, state = stepper.course.history, stepper.counts, stepper.state
         seconds = time.perf_counter() - start + self.setup_seconds
-        if yardstick and self._poisson is None:
-            _log.info("timing a Poisson solve")
-            self._poisson = poisson_seconds(problem.level)
+        if yardstick:
+            _ = self.poisson
         certified = None if estimator is None else estimator.bound()
         record = self._record(options, last, state, seconds, counts)
         if certified is not None:
@@ -278,12 +297,13 @@ class SolverContext:
     ) -> dict[str, Any]:
         """The record of a solve but for bound and [report] (collective)."""
         table, times = self.scene.tables, {"mesh": self.mesh_seconds, "solve": seconds}
+        poisson = self.__dict__.get("poisson")  # where it was timed
         figures = record_of(self.problem, options.method, outcome, state, self.started, name=self.scene.name,
                             title=table.title, refine=table.mesh.refine, seconds=times)  # fmt: skip
         remarks = [*figures.get("remarks", ()), *counts.get("remarks", ())]
         return {
-            **figures, **counts, "poisson_seconds": self._poisson,
-            "poisson_units": None if self._poisson is None else seconds / self._poisson,
+            **figures, **counts, "poisson_seconds": poisson,
+            "poisson_units": None if poisson is None else seconds / poisson,
             **({"remarks": remarks} if remarks else {}),
         }  # fmt: skip
 
