@@ -30,7 +30,7 @@ from fenicsx_obstacle.estimation.norms import Distance, Exact
 from fenicsx_obstacle.mesh.levels import Level, refined_where
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
-from fenicsx_obstacle.problems.solve import State, fields_of, solve
+from fenicsx_obstacle.problems.solve import State, solve
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -231,14 +231,14 @@ class SolverContext:
             record["bound"] = {**certified.record, "effectivity": None}
             if last.eps is not None and (problem.below is None) != (problem.above is None):
                 # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
-                width = last.eps * largest(problem.level.comm, np.abs(state.p))
+                width = last.eps * largest(problem.level.comm, np.abs(state.contact.pressure))
                 record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
         if self._report is not None:
             record |= {"report": self._reported(state), **self._report.extremes}
         # clocks differ between ranks: rank 0 speaks for all
         record, history = problem.level.comm.bcast((record, last.history))
-        tension = problem.model.elastic.tension_at(state.u, problem.data)
-        fields, scene = fields_of(problem, state), scene.with_options(options)
+        fields, scene = state.fields, scene.with_options(options)
+        tension = problem.model.elastic.tension_at(fields.u, problem.data)
         answer = Answer(fields, history, record, certified, tension, scene=scene, time_history=time_history)
         return self.measured(answer) if errors else answer
 
@@ -260,7 +260,7 @@ class SolverContext:
         """The output quantities of [report] (collective)."""
         if self._report is None:
             return {}
-        fields = {"u": state.u, "p": state.pressure, "contact": state.touching}
+        fields = {"u": state.fields.u, "p": state.fields.pressure, "contact": state.fields.contact}
         share = 1.0 if self.scene.time is None else self.scene.time.share
         return self._report.evaluate(fields, self.problem.elastic.array_r * share)
 

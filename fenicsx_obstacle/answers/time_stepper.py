@@ -27,7 +27,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
-from fenicsx_obstacle.problems.solve import State, fields_of, state_of
+from fenicsx_obstacle.problems.solve import State, state_of
 from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
@@ -349,7 +349,7 @@ class TimeStepper:
         self._remember()
         state, last = self.state, outcomes[-1] if outcomes else None
         if last is None:  # nothing is in balance yet: there is no pressure
-            state.pressure.x.array[:] = state.touching.x.array[:] = 0.0
+            state.fields.pressure.x.array[:] = state.fields.contact.x.array[:] = 0.0
         figures: dict[str, Any] = {"energy": state.energy}
         if self.steps.velocity is not None:
             kinetic = self._kinetic()
@@ -360,7 +360,7 @@ class TimeStepper:
             figures["penetration"] = state.contact.penetration
             figures |= self._reported(state)
         counts = (None, None) if last is None else (last.iterations, last.krylov)
-        self.course.add(t, counts, figures, lambda: frame_of(fields_of(self.problem, state)))
+        self.course.add(t, counts, figures, lambda: frame_of(state.fields))
 
     def _kinetic(self) -> float:
         """rho v^2/2, by the nodal rule."""

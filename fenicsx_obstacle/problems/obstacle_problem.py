@@ -60,7 +60,7 @@ from fenicsx_obstacle.problems.input_checks import (
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.residual_form import ResidualForm, by_one_rule
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.problems.solve import State, fields_of, solve
+from fenicsx_obstacle.problems.solve import State, solve
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
@@ -370,9 +370,9 @@ class ObstacleProblem:
         self._setup_seconds = 0.0
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
-        state.u.name = self.u.name
-        tension = self._data.model.elastic.tension_at(state.u, self._data)
-        fields = fields_of(problem, state)
+        fields = state.fields
+        fields.u.name = self.u.name
+        tension = self._data.model.elastic.tension_at(fields.u, self._data)
         if self._vector_valued:
             from fenicsx_obstacle.problems.vector_valued import vector_fields
 
@@ -477,7 +477,7 @@ class ObstacleProblem:
                 problem.set_reference(self.u.x.array[: problem.owned].copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             warn_of_indefinite(problem, self._form, self.name)
-        self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
+        self.u.x.array[:], self._pressure, self._solved_before = state.fields.u.x.array, state.contact.pressure, True
         if options.eps == "auto" and outcomes[-1].eps is not None:
             self._eps = outcomes[-1].eps  # so that the next solve gives the same solution
         return outcomes[-1], state

@@ -46,7 +46,7 @@ def record_of(
         refine: How often the mesh of a file was refined.
         seconds: Of these the times of mesh and solve, where they are not 0 and the whole.
     """
-    level, contact, eps = problem.level, state.contact, outcome.eps
+    level, contact, eps, u = problem.level, state.contact, outcome.eps, state.fields.u.x.array
     peclet = {} if problem.drift is None else {"peclet": problem.drift.number}
     figures: dict[str, Any] = {
         "scene": name, "title": title, "method": method,
@@ -57,7 +57,7 @@ def record_of(
         "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
         "h": level.h, "h_max": level.h_max, "eps": eps, **peclet, "energy": state.energy,
         "penetration": contact.penetration,
-        "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
+        "u_range": largest(level.comm, u) - smallest(level.comm, u),
         "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
     }  # fmt: skip
     if remarks := [*level.remarks, *_too_coarse(problem)]:
@@ -70,7 +70,7 @@ def record_of(
         if (jump := boundary_jump(problem.data)) is not None:
             figures["boundary_jump"] = jump
     if problem.constrained and problem.affine and level.pair.nodal and problem.model.time is None:
-        figures["round_off"] = round_off(problem, state.p, eps)
+        figures["round_off"] = round_off(problem, contact.pressure, eps)
     spent = time.perf_counter() - started
     return {
         **figures, "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
