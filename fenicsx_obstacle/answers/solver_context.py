@@ -296,13 +296,14 @@ class SolverContext:
         self, options: SolverOptions, outcome: Outcome, state: State, seconds: float, counts: Mapping[str, Any]
     ) -> dict[str, Any]:
         """The record of a solve but for bound and [report] (collective)."""
-        table, times = self.scene.tables, {"mesh": self.mesh_seconds, "solve": seconds}
+        table = self.scene.tables
         poisson = self.__dict__.get("poisson")  # where it was timed
-        figures = record_of(self.problem, options.method, outcome, state, self.started, name=self.scene.name,
-                            title=table.title, refine=table.mesh.refine, seconds=times)  # fmt: skip
+        figures = record_of(self.problem, options.method, outcome, state, self.started)
         remarks = [*figures.get("remarks", ()), *counts.get("remarks", ())]
         return {
-            **figures, **counts, "poisson_seconds": poisson,
+            **figures, "scene": self.scene.name, "title": table.title, "refine": table.mesh.refine,
+            "seconds": {**figures["seconds"], "mesh": self.mesh_seconds, "solve": seconds},
+            **counts, "poisson_seconds": poisson,
             "poisson_units": None if poisson is None else seconds / poisson,
             **({"remarks": remarks} if remarks else {}),
         }  # fmt: skip

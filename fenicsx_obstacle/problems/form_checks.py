@@ -49,17 +49,18 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     Raises:
         InputError: Naming what came, and what is expected.
     """
-    kinds = ("a functional of u", "a linear form in one test function", "a bilinear form in trial and test function")
+    kind, words, which = (
+        ("a functional of u", "must be a functional of u", "not at all"),
+        ("a linear form in one test function", "must be linear in one test function, and contain no trial function",
+         "it exactly once"),
+        ("a bilinear form in trial and test function", "must be bilinear, in a trial and a test function",
+         "each of them exactly once"),
+    )[arguments]  # fmt: skip
     if isinstance(form, ufl.equation.Equation):
         raise InputError(f"{place} is an equation: give the residual, a(u, v) - L(v), in place of a(u, v) == L(v)")
     if not isinstance(form, ufl.Form):
-        raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kinds[arguments]}")
+        raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kind}")
     found = form.arguments()
-    words = (
-        "must be a functional of u",
-        "must be linear in one test function, and contain no trial function",
-        "must be bilinear, in a trial and a test function",
-    )[arguments]
     if len(found) != arguments:
         raise InputError(f"{place} {words}")
     if any(argument.ufl_function_space() != u.function_space for argument in found):
@@ -75,7 +76,6 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     try:
         check_form_arity(expanded(form), found)
     except (Exception, ArityMismatch) as error:  # of UFL 2024 on, ArityMismatch is no Exception
-        which = ("not at all", "it exactly once", "each of them exactly once")[arguments]
         raise InputError(f"{place} {words}; every term must hold {which}") from error
     tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
     for one in form.integrals():
