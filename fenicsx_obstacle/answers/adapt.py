@@ -6,7 +6,7 @@ import logging
 import math
 import re
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -140,26 +140,42 @@ class Work:
         return self.seconds / (self.unknowns * self.solves)
 
 
-class Refinement:
-    """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
+class Adaptation:
+    """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates; until a tolerance
+    is reached, or a budget is spent.
 
     Attributes:
         scene: What is solved.
         options: How, with the present eps.
         error: The bound or estimate on the last mesh.
-        least_unknowns: Of the first mesh, by the degree of the elements, if the scene's own mesh has as many.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         work: Of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
+        tolerance: Of the error in the energy norm; 0 for meshes without end.
+        relative: Whether it is relative to the energy norm of u.
         budget: Its limits.
+        goal: The quantity that has the tolerance; None for the energy norm.
+        power: The error of smooth solutions is of this power of the energy error.
+        steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
+        estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
+            With a budget it is not, as the bound of the last mesh is then in the budget.
     """
 
-    least_unknowns: Mapping[int, int] = {1: 0, 2: 0}
+    power, steady = 1, True
+    goal: str | None = None
     error: Bound | Estimate
 
-    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, budget: Budget | None = None):
+    def __init__(
+        self,
+        scene: Scene,
+        comm: MPI.Comm = MPI.COMM_WORLD,
+        tolerance: tuple[float, bool] = (0.0, False),
+        budget: Budget | None = None,
+    ):
         self.scene, self.options, self.full = scene, scene.options, False
-        self.budget = budget or Budget()
+        (self.tolerance, self.relative), self.budget = tolerance, budget or Budget()
+        endless = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
+        self.estimates = endless and self.tolerance > 0
         self.given = scene.options.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self.path: list[dict[str, Any]] = []
@@ -178,7 +194,7 @@ class Refinement:
         Args:
             unknowns: No mesh has more.
         """
-        least = self.least_unknowns[self.scene.pair.degree]
+        least = FIRST[self.scene.pair.degree] if self.tolerance > 0 else 0
         context = SolverContext(self.scene, self.comm, meshes.coarsest(self.scene, self.comm, least))
         benches = [context]
         try:
@@ -198,12 +214,6 @@ class Refinement:
         finally:
             close(benches)
 
-    def assessed(self, context: SolverContext) -> Answer:
-        """The answer on one mesh, whose error is then `error` (collective)."""
-        answer = self.balanced(context)
-        self.note(answer, answer.dofs)
-        return answer
-
     def work_of(self, context: SolverContext, cells: np.ndarray) -> Work:
         """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
         options, path, work = self.options, list(self.path), list(self.work)
@@ -214,10 +224,6 @@ class Refinement:
         found = self.work[-1]
         self.options, self.path, self.work = options, path, work
         return found
-
-    def share(self) -> float:
-        """The share of the error whose cells are refined next, for this element."""
-        return BULK[self.scene.pair.degree]
 
     def balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
@@ -255,8 +261,11 @@ class Refinement:
 
     def ahead(self) -> tuple[float, float]:
         """By which factor eps is reduced at most, and how small the part of the penalty is to become then, over what is
-        necessary."""
-        return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
+        necessary; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
+        limit = 0.0 if self.scene.pair.degree == 1 else self.limit()
+        if limit == 0 or self.error.total <= limit:
+            return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
+        return 0.1 * MAX_EPS_REDUCTION, min(PENALTY_SHARE_AHEAD, UP_TO_TOLERANCE * limit / self.error.total)
 
     def note(self, answer: Answer, unknowns: int, *, sampled: bool = False) -> None:
         """Append a mesh to the path (collective).
@@ -273,28 +282,6 @@ class Refinement:
                           "eps": record["eps"], "seconds": sum(work.elapsed for work in self.work),
                           "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
         _log.info("%d unknowns: error %.3g", record["dofs"], self.error.total)
-
-
-class Adaptation(Refinement):
-    """Adaptive refinement until a tolerance is reached or a budget is spent.
-
-    Attributes:
-        tolerance: Of the error in the energy norm.
-        relative: Whether it is relative to the energy norm of u.
-        goal: The quantity that has the tolerance; None for the energy norm.
-        power: The error of smooth solutions is of this power of the energy error.
-        steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
-        estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
-            With a budget it is not, as the bound of the last mesh is then in the budget.
-    """
-
-    power, steady, least_unknowns = 1, True, FIRST
-    goal: str | None = None
-
-    def __init__(self, scene: Scene, tolerance: tuple[float, bool], budget: Budget | None, comm: MPI.Comm):
-        self.tolerance, self.relative = tolerance
-        super().__init__(scene, comm, budget)
-        self.estimates = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
@@ -340,13 +327,6 @@ class Adaptation(Refinement):
         self.note(answer, answer.dofs, sampled=estimator.sampled)
         return answer
 
-    def ahead(self) -> tuple[float, float]:
-        """See `Refinement.ahead`; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
-        least, ahead = super().ahead()
-        if self.scene.pair.degree == 1 or self.error.total <= self.limit():
-            return least, ahead
-        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * self.limit() / self.error.total)
-
     def _proved(self, context: SolverContext, answer: Answer) -> Answer:
         """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""
         context.estimator.sampled = False
@@ -359,7 +339,7 @@ class Adaptation(Refinement):
     def share(self) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
         above = ABOVE_ESTIMATE if self.path[-1]["sampled"] else 1.0
-        beyond = 1 - (self.limit() / (above * self.error.total)) ** 2
+        beyond = 1 - (self.limit() / (above * self.error.total)) ** 2 if self.error.total > 0 else 1.0
         degree = self.scene.pair.degree
         self._share = min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
         return self._share

@@ -58,7 +58,7 @@ class GoalAdaptation(Adaptation):
         Raises:
             InputError: If it is not known or has no derivative, or the element no estimate.
         """
-        super().__init__(scene, tolerance, budget, comm)
+        super().__init__(scene, comm, tolerance, budget)
         if not (scene.pair.nested_hierarchy and scene.pair.at_vertices):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
         self.goal, self.words = goal, "estimated"

@@ -142,7 +142,7 @@ def adaptation(
     check_equilibrium(scene)
     tolerance = check_tolerance(tol, tol_absolute)
     if goal is None:
-        return Adaptation(scene, tolerance, budget, comm)
+        return Adaptation(scene, comm, tolerance, budget)
     from fenicsx_obstacle.answers.goal import GoalAdaptation  # only where there is one
 
     return GoalAdaptation(scene, goal, tolerance, budget, comm)

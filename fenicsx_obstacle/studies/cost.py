@@ -20,7 +20,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
-from fenicsx_obstacle.answers.adapt import Budget, Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
@@ -233,11 +233,11 @@ class CostStudy:
     def _refined(self, scene: Scene, first: int) -> Generator[Row, None, None]:
         """The values of a row on each mesh, of this number on, or in the end why there is none (collective)."""
         try:
-            with closing(Refinement(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
+            with closing(Adaptation(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
                 for _ in islice(meshes, 2):
                     pass
             self._before, memory = forget_peak_memory(self.comm), 0.0
-            refinement = Refinement(scene, self.comm)
+            refinement = Adaptation(scene, self.comm)
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
                 for number, (work, answer) in enumerate(meshes):
                     if refinement.full:
