@@ -384,23 +384,6 @@ class Adaptation:
         return now > HARDLY["total"] * least and (self.steady or not grown)
 
 
-def check_tolerance(relative: float | None, absolute: float | None) -> tuple[float, bool]:
-    """The tolerance, and whether it is relative.
-
-    Raises:
-        InputError: Unless one of both is given and positive, and a relative one is below 1.
-    """
-    tolerance = absolute if relative is None else relative
-    if relative is not None and absolute is not None:
-        raise InputError("two tolerances: give --tol or --tol-absolute")
-    if tolerance is None or not 0 < tolerance < np.inf:
-        option = "--tol-absolute" if relative is None else "--tol"
-        raise InputError(f"{option} {tolerance}: must be positive and finite")
-    if relative is not None and relative >= 1:
-        raise InputError(f"--tol {relative:g}: the tolerance is relative and must be below 1: 0.05 is 5 %")
-    return tolerance, relative is not None
-
-
 def _now() -> tuple[float, float]:
     """Elapsed time, and processor time of this thread."""
     return time.perf_counter(), time.thread_time()
