@@ -198,7 +198,7 @@ class ObstacleProblem:
         warn_of_conditions(held, mesh.comm, name)
         residual = ResidualForm(F=F, u=u, functional=energy, J=J)
         if residual.affine:
-            residual = replace(residual, F=by_one_rule(F))
+            residual = replace(residual, F=by_one_rule(F), J=None)
         if not isinstance(petsc_options_prefix, str):
             raise InputError(f"{name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
         checked_options(form_compiler_options, f"{name}: form_compiler_options", "{'scalar_type': 'float64'}")

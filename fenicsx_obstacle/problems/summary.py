@@ -80,8 +80,7 @@ def _round_off(record: Mapping[str, Any]) -> list[str]:
     found, lines = record.get("round_off", {}), []
     if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
         lines.append(
-            f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from "
-            "u and the "
+            f"  round-off of the pressure {found['left']:.1g}, because u is large; subtract a constant from u and the "
             "obstacle"
         )
     if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
