@@ -190,9 +190,9 @@ class TimeStepper:
             self._size = max(self._size, largest(self.problem.level.comm, np.abs(u_before)))
         found = self._within.excess(before, t, self._size, None if u is None else (u_before, u))
         if found is not None and t - before <= NO_STEP * self.moments.end:
-            name = one_line(self.moments.name)
+            name, (datum, when, size) = one_line(self.moments.name), found
             raise InputError(
-                f"{found.datum}: at {name} = {found.t:.9g} it is {found.size:.3g} beyond its values at both ends of "
+                f"{datum}: at {name} = {when:.9g} it is {size:.3g} beyond its values at both ends of "
                 f"the smallest time step, {t - before:.1e}: [time] tolerance cannot follow a change that is so short; "
                 "let it last longer, or leave out the key 'tolerance'"
             )
