@@ -9,7 +9,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.problems.summary import lookup
@@ -116,25 +115,22 @@ class Find(Study):
             store: Where finished rows are kept, or None.
 
         Raises:
-            InputError: If the target is not between the values at both ends; no row is kept then.
+            InputError: If the target is not between the values at both ends, whose rows are kept.
         """
-        self.store = store
-        solved = [self.row(values, scene, keep=False) for values, scene in self.points]
-        values = [self._value(x, row) for x, (row, _) in zip(self.ends, solved, strict=True)]
-        self._check_bracket(values)
-        for x, (_, scene), (row, answer) in zip(self.ends, self.points, solved, strict=True):
-            self._take(x, self.keep(row, scene), answer, on_row)
-        del solved, answer
-
         from scipy.optimize import brentq  # only where a target is looked for
+
+        self.store = store
 
         def difference(x: float) -> float:
             x = self.comm.bcast(float(x))  # one value on all ranks
             if x not in self.rows:
-                row, answer = self.row({self.key: x}, changed(self.base, {self.key: x}))
-                self._take(x, row, answer, on_row)
+                self.rows[x], answer = self.row({self.key: x}, changed(self.base, {self.key: x}))
+                if on_row is not None:
+                    on_row(self.rows[x], answer)
             return self._value(x, self.rows[x]) - self.target
 
+        values = [difference(x) + self.target for x in self.ends]
+        self._check_bracket(values)
         width = self.ends[1] - self.ends[0]
         root = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
         steep = STEEP * self.within * (max(values) - min(values))
@@ -148,11 +144,6 @@ class Find(Study):
     def reached(self, row: Row) -> float:
         """The quantity in a row."""
         return self._value(row["vary"][self.key], row)
-
-    def _take(self, x: float, row: Row, answer: Answer | None, on_row: OnRow | None) -> None:
-        self.rows[x] = row
-        if on_row is not None:
-            on_row(row, answer)
 
     def _value(self, x: float, row: Row) -> float:
         """The quantity in a row.
