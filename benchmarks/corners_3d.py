@@ -29,7 +29,7 @@ from mpi4py import MPI
 
 from benchmarks.ladder import show
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import on_root, peak_memory_mb
 from tests.random.families.solid_meshes import octants, scattered, tetrahedra
@@ -70,7 +70,7 @@ def adaptive(shape: str, unknowns: float, data: dict[str, Any]) -> tuple[list[Ro
     """Unknowns, J(v_h) and the bound of ||u - v_h|| on adaptive meshes, and the range of J(u) (collective)."""
     found: list[Row] = []
     within = -np.inf, np.inf
-    with closing(Refinement(Scene(mesh=tetrahedra(COMM, *octants(shape, 2)), **data), COMM).meshes(
+    with closing(Adaptation(Scene(mesh=tetrahedra(COMM, *octants(shape, 2)), **data), COMM).meshes(
             unknowns=unknowns)) as meshes:  # fmt: skip
         for _, answer in meshes:
             row = answer.dofs, answer.bound.energy[1], answer.bound.admissible_total

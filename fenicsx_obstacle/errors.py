@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from fenicsx_obstacle.text import counted, printable
@@ -53,9 +52,9 @@ class NotConverged(ObstacleError):
 
     exit_status = 3
 
-    def __init__(self, solver: str, reason: str, iterations: int, *, eps: float | None, h: float):
+    def __init__(self, solver: str, reason: str, iterations: int, eps: float | None, h: float):
+        super().__init__(solver, reason, iterations, eps, h)  # all that pickle takes to another rank
         self.solver, self.reason, self.iterations, self.eps, self.h = solver, reason, iterations, eps, h
-        super().__init__(solver, reason, iterations)
 
     def __str__(self) -> str:
         where = f"h = {self.h:.3g}" if self.eps is None else f"eps = {self.eps:.3g}, h = {self.h:.3g}"
@@ -65,14 +64,7 @@ class NotConverged(ObstacleError):
 
     def changed(self, **values: Any) -> NotConverged:
         """The same error with another `solver`, `reason` or `eps`."""
-        return NotConverged(**{**self._given(), **values})
-
-    def __reduce__(self):
-        # exceptions travel between ranks by pickle, which knows nothing of keyword arguments
-        return partial(NotConverged, **self._given()), ()
-
-    def _given(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("solver", "reason", "iterations", "eps", "h")}
+        return NotConverged(**{**vars(self), **values})
 
 
 def interrupted(number: int, arguments: Sequence[str]) -> str:

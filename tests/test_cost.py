@@ -9,7 +9,7 @@ import pytest
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene
-from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
@@ -259,7 +259,7 @@ def fine_cloud():
     """A ball by P2 where the error is, and the same as if no exact solution were known."""
     scene = catalogue.scene("ball").change({"report": {}, "mesh.cells": 16})
     adaptive = scene.change({"exact": None, "solve.element": "P2"})
-    with closing(Refinement(adaptive, COMM).meshes()) as meshes:
+    with closing(Adaptation(adaptive, COMM).meshes()) as meshes:
         context, answer = next((context, answer) for context, answer in meshes if answer.record["dofs"] > 12_000)
         own = ExactReference(scene, COMM).errors(context, answer)
         return scene, Cloud.of(answer), own, answer.bound.total

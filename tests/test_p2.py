@@ -7,7 +7,7 @@ import pytest
 from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, Scene, solve
-from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.parallel import largest
@@ -82,7 +82,7 @@ def test_adaptive_order():
     """The energy error of the ball falls faster than N^(-1.7/2), with its bound; on uniform meshes it is N^(-3/4)."""
     scene = quadratic("ball")
     rows = []
-    with closing(Refinement(scene, COMM).meshes(unknowns=8000)) as meshes:
+    with closing(Adaptation(scene, COMM).meshes(unknowns=8000)) as meshes:
         for context, answer in meshes:
             record = context.measured(answer).record
             rows.append((record["dofs"], record["errors"]["energy"], answer.bound.total))

@@ -6,7 +6,7 @@ import logging
 import math
 import re
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -85,6 +85,37 @@ class Budget:
         return cls(**limits)
 
 
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The estimated error of a quantity on one mesh.
+
+    Attributes:
+        value: The quantity there.
+        discretisation: Part of the mesh, >= 0.
+        penalty: Part of the penalty, >= 0.
+        indicator: Contribution of each owned cell.
+        dofs: Unknowns of the finest mesh that it took.
+        unknowns: Of all meshes that it took together.
+    """
+
+    value: float
+    discretisation: float
+    penalty: float
+    indicator: np.ndarray
+    dofs: int
+    unknowns: int
+
+    @property
+    def total(self) -> float:
+        """The estimate."""
+        return self.discretisation + self.penalty
+
+    @property
+    def relative(self) -> float | None:
+        """The error over the absolute value; None where that is 0."""
+        return self.total / abs(self.value) if self.value != 0 else None
+
+
 @dataclass(frozen=True)
 class Work:
     """The work for one mesh of an adaptive refinement.
@@ -109,24 +140,42 @@ class Work:
         return self.seconds / (self.unknowns * self.solves)
 
 
-class Refinement:
-    """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates.
+class Adaptation:
+    """Solutions on adaptively refined meshes, with eps so small that the error of the mesh dominates; until a tolerance
+    is reached, or a budget is spent.
 
     Attributes:
         scene: What is solved.
         options: How, with the present eps.
-        least_unknowns: Of the first mesh, by the degree of the elements, if the scene's own mesh has as many.
+        error: The bound or estimate on the last mesh.
         path: Unknowns, bound, eps, seconds and memory of each mesh so far.
         work: Of each mesh so far.
         full: Whether the next mesh would have too many unknowns.
+        tolerance: Of the error in the energy norm; 0 for meshes without end.
+        relative: Whether it is relative to the energy norm of u.
         budget: Its limits.
+        goal: The quantity that has the tolerance; None for the energy norm.
+        power: The error of smooth solutions is of this power of the energy error.
+        steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
+        estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
+            With a budget it is not, as the bound of the last mesh is then in the budget.
     """
 
-    least_unknowns: Mapping[int, int] = {1: 0, 2: 0}
+    power, steady = 1, True
+    goal: str | None = None
+    error: Bound | Estimate
 
-    def __init__(self, scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, budget: Budget | None = None):
+    def __init__(
+        self,
+        scene: Scene,
+        comm: MPI.Comm = MPI.COMM_WORLD,
+        tolerance: tuple[float, bool] = (0.0, False),
+        budget: Budget | None = None,
+    ):
         self.scene, self.options, self.full = scene, scene.options, False
-        self.budget = budget or Budget()
+        (self.tolerance, self.relative), self.budget = tolerance, budget or Budget()
+        endless = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
+        self.estimates = endless and self.tolerance > 0
         self.given = scene.options.eps != "auto"  # eps is the user's
         self.comm = scene.mesh.comm if scene.mesh is not None else comm
         self.path: list[dict[str, Any]] = []
@@ -145,15 +194,16 @@ class Refinement:
         Args:
             unknowns: No mesh has more.
         """
-        least = self.least_unknowns[self.scene.pair.degree]
+        least = FIRST[self.scene.pair.degree] if self.tolerance > 0 else 0
         context = SolverContext(self.scene, self.comm, meshes.build(self.scene, self.comm, least))
         benches = [context]
         try:
             while True:
-                answer, indicator = self.assessed(context)
+                answer = self.assessed(context)
                 yield context, answer
                 self._since = _now()
-                finer = context.refined(marked(indicator, self.share(answer), self.comm))
+                assert self.error.indicator is not None
+                finer = context.refined(marked(self.error.indicator, self.share(), self.comm))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -163,13 +213,6 @@ class Refinement:
                 context = finer
         finally:
             close(benches)
-
-    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
-        """The answer on one mesh, and the part of its error in each owned cell (collective)."""
-        answer = self.balanced(context)
-        bound, dofs = _bound(answer), answer.record["dofs"]
-        self.note(answer, bound.total, bound.relative, dofs)
-        return answer, _indicator(answer)
 
     def work_of(self, context: SolverContext, cells: np.ndarray) -> Work:
         """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
@@ -182,89 +225,63 @@ class Refinement:
         self.options, self.path, self.work = options, path, work
         return found
 
-    def share(self, answer: Answer) -> float:
-        """The share of the error whose cells are refined next, for this element."""
-        return BULK[self.scene.pair.degree]
-
     def balanced(self, context: SolverContext) -> Answer:
         """The answer on one mesh, with eps so small that the error of the mesh dominates (collective)."""
 
         def bounded() -> tuple[Answer, Bound]:
             first = not self.path and self._solves == 0  # a wrong exact solution is reported on the first mesh
             answer = context.answer(self.options, bound=True, errors=first)
-            return answer, _bound(answer)
+            assert answer.bound is not None
+            return answer, answer.bound
 
-        return self.with_eps(context, bounded)[0]
+        return self.with_eps(context, bounded)
 
-    def with_eps(self, context: SolverContext, solve: Callable[[], tuple[Answer, Any]]) -> tuple[Answer, Any]:
+    def with_eps(self, context: SolverContext, solve: Callable[[], tuple[Answer, Bound | Estimate]]) -> Answer:
         """Solve, and again with a smaller eps as long as the part of the penalty dominates (collective).
 
         Args:
             context: Of the mesh.
-            solve: Returns an answer and its error, with the parts `discretisation` and `penalty`.
+            solve: Returns an answer and its error.
         """
         self._solves = 0
-        answer, error = solve()
+        answer, self.error = solve()
         self._solves = 1
         chosen = answer.record["eps"] is not None and not self.given  # a number of the user is kept
-        while chosen and error.penalty > BALANCED * error.discretisation:
-            least, ahead = self.ahead(answer)
-            eps = answer.record["eps"] * max(least, ahead * BALANCED * error.discretisation / error.penalty)
+        while chosen and (before := self.error.penalty) > BALANCED * self.error.discretisation:
+            least, ahead = self.ahead()
+            eps = answer.record["eps"] * max(least, ahead * BALANCED * self.error.discretisation / before)
             if (eps := max(eps, smallest_eps(context.problem))) >= answer.record["eps"]:
                 break
-            self.options, before = replace(self.options, eps=eps), error.penalty
-            answer, error = solve()
+            self.options = replace(self.options, eps=eps)
+            answer, self.error = solve()
             self._solves += 1
-            if error.penalty > 0.9 * before:  # round-off, or an obstacle that nodes do not see
+            if self.error.penalty > 0.9 * before:  # round-off, or an obstacle that nodes do not see
                 break
-        return answer, error
+        return answer
 
-    def ahead(self, answer: Answer) -> tuple[float, float]:
+    def ahead(self) -> tuple[float, float]:
         """By which factor eps is reduced at most, and how small the part of the penalty is to become then, over what is
-        necessary."""
-        return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
+        necessary; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
+        limit = 0.0 if self.scene.pair.degree == 1 else self.limit()
+        if limit == 0 or self.error.total <= limit:
+            return MAX_EPS_REDUCTION, PENALTY_SHARE_AHEAD
+        return 0.1 * MAX_EPS_REDUCTION, min(PENALTY_SHARE_AHEAD, UP_TO_TOLERANCE * limit / self.error.total)
 
-    def note(
-        self, answer: Answer, total: float, relative: float | None, unknowns: int, *, sampled: bool = False
-    ) -> None:
+    def note(self, answer: Answer, unknowns: int, *, sampled: bool = False) -> None:
         """Append a mesh to the path (collective).
 
         Args:
             answer: On this mesh.
-            total: Bound or estimate of the error.
-            relative: The same, relative; None where that is not defined.
             unknowns: Of this mesh, and of the finer meshes that the estimate took.
             sampled: Whether it is an estimate from samples of the obstacles.
         """
         record, before, self._since = answer.record, self._since, _now()
         elapsed, seconds = (largest(self.comm, end - start) for start, end in zip(before, self._since, strict=True))
         self.work.append(Work(unknowns, self._solves, seconds, elapsed, record["memory_mb"]))
-        self.path.append({"dofs": record["dofs"], "total": total, "relative": relative,
+        self.path.append({"dofs": record["dofs"], "total": self.error.total, "relative": self.error.relative,
                           "eps": record["eps"], "seconds": sum(work.elapsed for work in self.work),
                           "memory_mb": record["memory_mb"], "sampled": sampled})  # fmt: skip
-        _log.info("%d unknowns: error %.3g", record["dofs"], total)
-
-
-class Adaptation(Refinement):
-    """Adaptive refinement until a tolerance is reached or a budget is spent.
-
-    Attributes:
-        tolerance: Of the error in the energy norm.
-        relative: Whether it is relative to the energy norm of u.
-        goal: The quantity that has the tolerance; None for the energy norm.
-        power: The error of smooth solutions is of this power of the energy error.
-        steady: Whether the error falls steadily, and the last mesh has no more cells refined than the tolerance needs.
-        estimates: Whether the error is only estimated on meshes that are far from the tolerance, where that is faster.
-            With a budget it is not, as the bound of the last mesh is then in the budget.
-    """
-
-    power, steady, least_unknowns = 1, True, FIRST
-    goal: str | None = None
-
-    def __init__(self, scene: Scene, tolerance: tuple[float, bool], budget: Budget | None, comm: MPI.Comm):
-        self.tolerance, self.relative = tolerance
-        super().__init__(scene, comm, budget)
-        self.estimates = math.isinf(self.budget.seconds) and math.isinf(self.budget.megabytes)
+        _log.info("%d unknowns: error %.3g", record["dofs"], self.error.total)
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose error is below the tolerance, or the best that the budget allows (collective)."""
@@ -294,8 +311,8 @@ class Adaptation(Refinement):
         here = {"cells": None, "refine": None, "seconds": seconds, "adaptive": adaptive}
         return replace(answer, record=self.comm.bcast({**answer.record, **here}))
 
-    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
-        """The answer on one mesh, and the part of its error in each owned cell (collective).
+    def assessed(self, context: SolverContext) -> Answer:
+        """The answer on one mesh, whose error is then `error` (collective).
 
         The error is bounded where the tolerance may be reached, and where errors do not fall any more.
         """
@@ -305,49 +322,41 @@ class Adaptation(Refinement):
         estimator = context.estimator
         estimator.sampled = self.estimates and self.comm.bcast(falls and not last)
         answer = self.balanced(context)
-        if estimator.sampled and _bound(answer).total <= self._limit(answer):
+        if estimator.sampled and self.error.total <= self.limit():
             answer = self._proved(context, answer)
-        bound = _bound(answer)
-        self.note(answer, bound.total, bound.relative, answer.record["dofs"], sampled=estimator.sampled)
-        return answer, _indicator(answer)
-
-    def ahead(self, answer: Answer) -> tuple[float, float]:
-        """See `Refinement.ahead`; P2 has few meshes, on which one reduction of eps is enough for the tolerance."""
-        least, ahead = super().ahead(answer)
-        if self.scene.pair.degree == 1 or _bound(answer).total <= self._limit(answer):
-            return least, ahead
-        return 0.1 * least, min(ahead, UP_TO_TOLERANCE * self._limit(answer) / _bound(answer).total)
+        self.note(answer, answer.dofs, sampled=estimator.sampled)
+        return answer
 
     def _proved(self, context: SolverContext, answer: Answer) -> Answer:
         """An answer with an error bound in place of an estimate, the last one of a solver context (collective)."""
         context.estimator.sampled = False
-        bound = context.estimator.bound()
+        self.error = bound = context.estimator.bound()
         if self.path and self.path[-1]["sampled"] and self.path[-1]["dofs"] == answer.record["dofs"]:
             self.path[-1] |= {"total": bound.total, "relative": bound.relative, "sampled": False}
         record = {**answer.record, "bound": {**bound.record, "effectivity": None}}
         return replace(answer, bound=bound, record=record)
 
-    def share(self, answer: Answer) -> float:
+    def share(self) -> float:
         """The share of the bound whose cells are refined next, smaller before the last mesh."""
         above = ABOVE_ESTIMATE if self.path[-1]["sampled"] else 1.0
-        beyond = 1 - (self._limit(answer) / (above * _bound(answer).total)) ** 2
+        beyond = 1 - (self.limit() / (above * self.error.total)) ** 2 if self.error.total > 0 else 1.0
         degree = self.scene.pair.degree
         self._share = min(BULK[degree], max(MIN_BULK, SAFETY_OF_BULK * beyond / (1 - 0.25**degree)))
         return self._share
 
-    def _limit(self, answer: Answer) -> float:
-        """The tolerance in the unit of the energy norm."""
-        bound = _bound(answer)
+    def limit(self) -> float:
+        """The tolerance in the unit of the error."""
+        total, relative = self.error.total, self.error.relative
         if not self.relative:
             return self.tolerance
-        if bound.relative is None and bound.total > 0:
+        if relative is None and total > 0:
             raise InputError("--tol: the energy norm of u is 0; give --tol-absolute")
-        return self.tolerance * bound.total / bound.relative if bound.relative else 0.0
+        return self.tolerance * total / relative if relative else 0.0
 
     def finished(self, answer: Answer) -> str | None:
         """None to continue, "" at the tolerance, otherwise the reason to stop (collective)."""
-        error, penalty, limit, unknowns = self.judged(answer)
-        if error <= limit:
+        limit, penalty = self.limit(), self.error.penalty
+        if self.error.total <= limit:
             return ""
         if isinstance(self.options.eps, float) and self.given and penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {penalty:.3g}; omit eps, so that it is chosen"
@@ -358,16 +367,12 @@ class Adaptation(Refinement):
             stop = f"the budget of {self.budget.seconds:g} s"
         if GROWTH * peak_memory_mb(self.comm) > self.budget.megabytes:
             stop = f"the budget of {self.budget.megabytes:g} MB"
-        if not fits(GROWTH * unknowns, answer.level.mesh.topology.dim, self.comm):
+        finest = self.error.dofs if isinstance(self.error, Estimate) else answer.dofs
+        if not fits(GROWTH * finest, answer.level.mesh.topology.dim, self.comm):
             stop = "the memory of this machine"
         if self._stalls():
             stop = f"round-off: the last {STALLED} meshes have no smaller error"
         return self.comm.bcast(stop)
-
-    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
-        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
-        bound = _bound(answer)
-        return bound.total, bound.penalty, self._limit(answer), answer.record["dofs"]
 
     def _stalls(self) -> bool:
         """Whether refinement has no effect any more: no smaller error, and no larger mesh where errors fluctuate."""
@@ -379,37 +384,9 @@ class Adaptation(Refinement):
         return now > HARDLY["total"] * least and (self.steady or not grown)
 
 
-def check_tolerance(relative: float | None, absolute: float | None) -> tuple[float, bool]:
-    """The tolerance, and whether it is relative.
-
-    Raises:
-        InputError: Unless one of both is given and positive, and a relative one is below 1.
-    """
-    tolerance = absolute if relative is None else relative
-    if relative is not None and absolute is not None:
-        raise InputError("two tolerances: give --tol or --tol-absolute")
-    if tolerance is None or not 0 < tolerance < np.inf:
-        option = "--tol-absolute" if relative is None else "--tol"
-        raise InputError(f"{option} {tolerance}: must be positive and finite")
-    if relative is not None and relative >= 1:
-        raise InputError(f"--tol {relative:g}: the tolerance is relative and must be below 1: 0.05 is 5 %")
-    return tolerance, relative is not None
-
-
 def _now() -> tuple[float, float]:
     """Elapsed time, and processor time of this thread."""
     return time.perf_counter(), time.thread_time()
-
-
-def _bound(answer: Answer) -> Bound:
-    assert answer.bound is not None
-    return answer.bound
-
-
-def _indicator(answer: Answer) -> np.ndarray:
-    indicator = _bound(answer).indicator
-    assert indicator is not None
-    return indicator
 
 
 def marked(indicator: np.ndarray, share: float, comm: MPI.Comm) -> np.ndarray:

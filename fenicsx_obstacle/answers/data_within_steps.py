@@ -53,21 +53,6 @@ class _Moving:
     dofs: np.ndarray
 
 
-@dataclass(frozen=True)
-class Excess:
-    """What a datum does between the ends of a step.
-
-    Attributes:
-        datum: The datum, in words.
-        t: When.
-        size: By how much it is beyond its values at both ends.
-    """
-
-    datum: str
-    t: float
-    size: float
-
-
 class DataWithinSteps:
     """The data that depend on t, between the ends of a step.
 
@@ -89,8 +74,9 @@ class DataWithinSteps:
 
     def excess(
         self, start: float, end: float, size: float, u: tuple[np.ndarray, np.ndarray] | None = None
-    ) -> Excess | None:
-        """The first datum found that a step would miss; None if there is none (collective).
+    ) -> tuple[str, float, float] | None:
+        """The first datum found that a step would miss, in words, when, and by how much it is beyond its values at both
+        ends; None if there is none (collective).
 
         An obstacle matters where it reaches u: a lower one where it is above u, and where it falls below a u that it
         supports.
@@ -111,7 +97,7 @@ class DataWithinSteps:
 
     def _excess(
         self, one: _Moving, start: float, end: float, size: float, u: tuple[np.ndarray, np.ndarray] | None
-    ) -> Excess | None:
+    ) -> tuple[str, float, float] | None:
         data, comm = self.data, self.data.level.comm
         assert data.model.time is not None
         field, names = data.here(one.field), data.names(one.field)
@@ -129,7 +115,7 @@ class DataWithinSteps:
         first = first_given(comm, found)
         if first is not None:
             self._remember(one, first[1])
-            return Excess(str(one.field), *first)
+            return str(one.field), *first
         if comm.allreduce(search.unknown, op=MPI.LOR):
             self.sampled[str(one.field)] = None
         return None

@@ -10,13 +10,13 @@ The energy has a guaranteed error instead wherever there is an error bound.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import BULK, STALLED, Adaptation, Budget
+from fenicsx_obstacle.answers.adapt import BULK, STALLED, Adaptation, Budget, Estimate
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.jumps import BETWEEN, cells_with_jumps, hidden_contact, unresolved
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -40,49 +40,17 @@ NOT_DIFFERENTIABLE = ("contact.area", "penetration")  # keys of a record
 ENERGY = "energy"  # in a record; [report] may have a quantity of this name
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The estimated error of a quantity on one mesh.
-
-    Attributes:
-        value: The quantity there.
-        discretisation: Part of the mesh, >= 0.
-        penalty: Part of the penalty, >= 0.
-        indicator: Contribution of each owned cell.
-        dofs: Unknowns of the finest mesh that it took.
-        unknowns: Of all meshes that it took together.
-    """
-
-    value: float
-    discretisation: float
-    penalty: float
-    indicator: np.ndarray
-    dofs: int
-    unknowns: int
-
-    @property
-    def error(self) -> float:
-        """The estimate."""
-        return self.discretisation + self.penalty
-
-    @property
-    def relative(self) -> float | None:
-        """The error over the absolute value; None where that is 0."""
-        return self.error / abs(self.value) if self.value != 0 else None
-
-
 class GoalAdaptation(Adaptation):
     """Adaptive refinement until the error of a quantity is below a tolerance, or a budget is spent.
 
     Attributes:
         goal: As the user named it.
         words: 'estimated', 'estimated, not settled' with the reason, or how far the error of the energy is guaranteed.
-        estimate: Of its error on the last mesh.
     """
 
     power, steady = 2, False
     goal: str
-    estimate: Estimate
+    error: Estimate
 
     def __init__(self, scene: Scene, goal: str, tolerance: tuple[float, bool], budget: Budget | None, comm: MPI.Comm):
         """Check the quantity.
@@ -90,7 +58,7 @@ class GoalAdaptation(Adaptation):
         Raises:
             InputError: If it is not known or has no derivative, or the element no estimate.
         """
-        super().__init__(scene, tolerance, budget, comm)
+        super().__init__(scene, comm, tolerance, budget)
         if not (scene.pair.nested_hierarchy and scene.pair.at_vertices):
             raise InputError(f"{scene.source}: --of is for the element P1, not for {scene.pair.name}")
         self.goal, self.words = goal, "estimated"
@@ -108,42 +76,41 @@ class GoalAdaptation(Adaptation):
 
     def answer(self, *, yardstick: bool) -> Answer:
         """The first answer whose estimate is below the tolerance, or the best that the budget allows (collective)."""
-        answer, estimate = super().answer(yardstick=yardstick), self.estimate
+        answer, error = super().answer(yardstick=yardstick), self.error
         goal = {
-            "name": self.goal, "value": estimate.value, "error": estimate.error, "relative": estimate.relative,
-            "words": self.words, "mesh": estimate.discretisation, "penalty": estimate.penalty, "dofs": estimate.dofs,
+            "name": self.goal, "value": error.value, "error": error.total, "relative": error.relative,
+            "words": self.words, "mesh": error.discretisation, "penalty": error.penalty, "dofs": error.dofs,
         }  # fmt: skip
         adaptive = {"of": self.goal, **answer.record["adaptive"]}
         return replace(answer, record=self.comm.bcast({**answer.record, "goal": goal, "adaptive": adaptive}))
 
-    def assessed(self, context: SolverContext) -> tuple[Answer, np.ndarray]:
-        """The answer on one mesh, and the part of the error of the quantity in each owned cell (collective)."""
+    def assessed(self, context: SolverContext) -> Answer:
+        """The answer on one mesh; `error` is then that of the quantity (collective)."""
         if self._bounded is None and self._key == ENERGY:
             with suppress(InputError):  # where there is no error bound for the scene
                 self._bounded = context.estimator is not None
-        found = self._guaranteed(context) if self._bounded else None
-        if found is None:
-            self._bounded, found = False, self.with_eps(context, lambda: self._refined(context))
+        answer = self._guaranteed(context) if self._bounded else None
+        if answer is None:
+            self._bounded, answer = False, self.with_eps(context, lambda: self._refined(context))
             reason = unresolved(context.problem.data)  # no finer mesh is known to have a jump at the right place
             reason = BETWEEN if reason is None and self._hidden else reason
             self.words = "estimated" if reason is None else f"estimated, not settled: {reason}"
-        answer, self.estimate = found
-        self.note(answer, self.estimate.error, self.estimate.relative, self.estimate.unknowns)
-        return answer, self.estimate.indicator
+        self.note(answer, self.error.unknowns)
+        return answer
 
-    def share(self, answer: Answer) -> float:
+    def share(self) -> float:
         """The share of the estimate whose cells are refined next."""
         return BULK[1]
 
-    def judged(self, answer: Answer) -> tuple[float, float, float, int]:
-        """The error, the part of the penalty, the limit of the error, and the unknowns of the largest mesh."""
-        estimate, size = self.estimate, abs(self.estimate.value) if self.relative else 1.0
-        if size == 0.0 < estimate.error and len(self.path) > STALLED:  # on coarse meshes it may be 0 by chance
+    def limit(self) -> float:
+        """The tolerance in the unit of the quantity."""
+        size = abs(self.error.value) if self.relative else 1.0
+        if size == 0.0 < self.error.total and len(self.path) > STALLED:  # on coarse meshes it may be 0 by chance
             raise InputError(f"{self.scene.source}: --of {self.goal}: it is 0; give --tol-absolute")
-        return estimate.error, estimate.penalty, self.tolerance * size, estimate.dofs
+        return self.tolerance * size
 
-    def _guaranteed(self, context: SolverContext) -> tuple[Answer, Estimate] | None:
-        """The solution on one mesh, and the middle of the bounds of the energy; None where they are not proved
+    def _guaranteed(self, context: SolverContext) -> Answer | None:
+        """The solution on one mesh, whose energy is taken in the middle of its bounds; None where they are not proved
         (collective)."""
         answer = self.balanced(context)
         bound = answer.bound
@@ -153,7 +120,8 @@ class GoalAdaptation(Adaptation):
         self.words = of_outputs(bound.words)
         low, high = bound.energy
         half = (high - low) / 2
-        return answer, Estimate(low + half, half, 0.0, bound.indicator, answer.dofs, answer.dofs)
+        self.error = Estimate(low + half, half, 0.0, bound.indicator, answer.dofs, answer.dofs)
+        return answer
 
     def _refined(self, context: SolverContext) -> tuple[Answer, Estimate]:
         """The solution on one mesh, and the estimate from a finer one (collective).

@@ -4,7 +4,7 @@ somewhere else, by up to a cell, time steps by up to a step. A change within a s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import combinations, permutations
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.cells import barycentric, corners, own_cells
 from fenicsx_obstacle.parallel import largest, smallest, total
+from fenicsx_obstacle.polynomials import halved
 
 JUMPS = "jumps inside cells; lay edges of cells along the jump"  # of a datum, in messages
 STEEP = "changes within a small part of a cell; refine there, or lay edges of cells along it"
@@ -84,7 +85,7 @@ def hidden_contact(data: Data, u: np.ndarray, touching: np.ndarray) -> np.ndarra
                 return (sign * heights - state).max(axis=1)
             return (bounds.once().upper if sign > 0 else -bounds.once().lower) - state.min(axis=1)
 
-        found[_changing(corners(mesh, cells), cells, beyond, PEAK * dim, limit)] = True
+        found[_changing(corners(mesh, cells), cells, beyond, PEAK, limit)] = True
     return found
 
 
@@ -136,9 +137,9 @@ def _jumping(data: Data, field: Field, cells: np.ndarray) -> Iterator[tuple[np.n
         return np.where(bounds.whole, 0.0, np.asarray(bounds.upper) - bounds.lower)
 
     if not field.continuous:
-        yield _changing(x, which, known, HALVINGS * dim, JUMP * range_of_values), JUMPS
+        yield _changing(x, which, known, HALVINGS, JUMP * range_of_values), JUMPS
     if varies:
-        yield _changing(x, which, sampled, WITHIN * dim, LAYER * range_of_values), STEEP
+        yield _changing(x, which, sampled, WITHIN, LAYER * range_of_values), STEEP
 
 
 def _changing(
@@ -151,23 +152,22 @@ def _changing(
     """Those of some cells in which a datum changes by more than a limit within a part (a number of collective calls
     that is the same on all ranks).
 
-    Each simplex is bisected, and the half is kept in which the datum differs more.
+    The edges of each simplex are halved, and the part is kept in which the datum differs most.
 
     Args:
         x: Simplices, shape (n, dim + 1, 3).
         which: Their cells.
         differs: By how much the datum differs in each simplex.
-        halvings: How often they are bisected.
+        halvings: How often they are halved.
         limit: The change.
     """
     left = differs(x, which)
     for _ in range(halvings):  # as many on all ranks
-        there = ~(left <= limit)
-        x, which = x[there], which[there]
-        first, second = _halves(x)
-        of_first, of_second = differs(first, which), differs(second, which)
-        take = ~(of_first < of_second)
-        x, left = np.where(take[:, None, None], first, second), np.where(take, of_first, of_second)
+        there, shape = ~(left <= limit), x.shape[1:]
+        x, which, count = halved(x[there]), which[there], 2 ** (shape[0] - 1)
+        differences = differs(x, np.repeat(which, count)).reshape(-1, count)
+        rows, best = np.arange(len(which)), np.where(np.isnan(differences), -1.0, differences).argmax(axis=1)
+        x, left = x.reshape(-1, count, *shape)[rows, best], differences[rows, best]
     return which[np.isfinite(left) & (left > limit)]
 
 
@@ -178,14 +178,3 @@ def _simplices(x: np.ndarray, dim: int) -> np.ndarray:
         return x[:, None]
     ways = [[0, *np.cumsum([1 << axis for axis in order])] for order in permutations(range(dim))]
     return x[:, ways]
-
-
-def _halves(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Simplices bisected at their longest edges."""
-    pairs = np.array(list(combinations(range(x.shape[1]), 2)))
-    lengths = ((x[:, pairs[:, 0]] - x[:, pairs[:, 1]]) ** 2).sum(axis=2)
-    (i, j), rows = pairs[lengths.argmax(axis=1)].T, np.arange(len(x))
-    middle = (x[rows, i] + x[rows, j]) / 2
-    first, second = x.copy(), x.copy()
-    first[rows, i], second[rows, j] = middle, middle
-    return first, second

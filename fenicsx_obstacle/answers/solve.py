@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import closing
 from pathlib import Path
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Adaptation, Budget, check_tolerance
+from fenicsx_obstacle.answers.adapt import Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -140,9 +141,16 @@ def adaptation(
         InputError: If the tolerance or the quantity is wrong, or the scene moves.
     """
     check_equilibrium(scene)
-    tolerance = check_tolerance(tol, tol_absolute)
+    if tol is not None and tol_absolute is not None:
+        raise InputError("two tolerances: give --tol or --tol-absolute")
+    option, number = ("--tol-absolute", tol_absolute) if tol is None else ("--tol", tol)
+    if number is None or not 0 < number < math.inf:
+        raise InputError(f"{option} {number}: must be positive and finite")
+    if tol is not None and tol >= 1:
+        raise InputError(f"--tol {tol:g}: the tolerance is relative and must be below 1: 0.05 is 5 %")
+    tolerance = number, tol is not None
     if goal is None:
-        return Adaptation(scene, tolerance, budget, comm)
+        return Adaptation(scene, comm, tolerance, budget)
     from fenicsx_obstacle.answers.goal import GoalAdaptation  # only where there is one
 
     return GoalAdaptation(scene, goal, tolerance, budget, comm)

@@ -26,11 +26,11 @@ from fenicsx_obstacle.answers.profiles import check_profiles
 from fenicsx_obstacle.data.data import Data
 from fenicsx_obstacle.discrete.hierarchy import has_levels, levels_of, nested
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.norms import Exact
+from fenicsx_obstacle.estimation.norms import Distance, Exact
 from fenicsx_obstacle.mesh.levels import Level, refined_where
 from fenicsx_obstacle.parallel import largest, return_freed_memory
 from fenicsx_obstacle.problems.record import record_of
-from fenicsx_obstacle.problems.solve import State, fields_of, solve
+from fenicsx_obstacle.problems.solve import State, solve
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
 
@@ -86,7 +86,6 @@ class SolverContext:
             self._report = Report(self.problem.data, scene)
             self._report.check()
         check_profiles(scene, level)
-        self._poisson: float | None = None
 
     def renewed(self, scene: Scene) -> SolverContext:
         """A solver context for other data on the same mesh; this one is freed, except for the mesh (collective).
@@ -102,7 +101,7 @@ class SolverContext:
         """Free everything but the mesh (collective)."""
         del self.problem
         self._levels = self._report = None
-        for cached in ("exact", "estimator"):
+        for cached in ("exact", "estimator", "distance", "inequality"):
             self.__dict__.pop(cached, None)
 
     def close(self) -> None:
@@ -143,9 +142,30 @@ class SolverContext:
             estimator.use_estimator_load()
         return estimator
 
+    @cached_property
+    def distance(self) -> Distance:
+        """Norms of differences on this mesh (first use is collective)."""
+        return Distance(self.problem)
+
+    @cached_property
+    def inequality(self) -> Answer:
+        """The solution of the variational inequality on this mesh (first use is collective).
+
+        Raises:
+            NotConverged: With PETSc's reason.
+        """
+        return self.answer(replace(self.scene.options, method="vi"), errors=False)
+
+    @cached_property
+    def poisson(self) -> float:
+        """Seconds of one linear Poisson solve on this mesh (first use is collective)."""
+        _log.info("timing a Poisson solve")
+        return self.problem.level.comm.bcast(poisson_seconds(self.problem.level))
+
     def forget_estimator(self) -> None:
-        """Free the estimator, some kB per node, when this mesh becomes a coarse level of another one."""
-        self.__dict__.pop("estimator", None)
+        """Free the estimator, some kB per node, and norms when this mesh becomes a coarse level of another one."""
+        for cached in ("estimator", "distance"):
+            self.__dict__.pop(cached, None)
 
     def forget_levels(self) -> None:
         """Free problems and multigrid of the coarser levels; the next solve creates them again (collective)."""
@@ -203,23 +223,22 @@ class SolverContext:
             last = stepper.run(restart, keep)
             time_history, counts, state = stepper.course.history, stepper.counts, stepper.state
         seconds = time.perf_counter() - start + self.setup_seconds
-        if yardstick and self._poisson is None:
-            _log.info("timing a Poisson solve")
-            self._poisson = poisson_seconds(problem.level)
+        if yardstick:
+            _ = self.poisson
         certified = None if estimator is None else estimator.bound()
         record = self._record(options, last, state, seconds, counts)
         if certified is not None:
             record["bound"] = {**certified.record, "effectivity": None}
             if last.eps is not None and (problem.below is None) != (problem.above is None):
                 # u_eps - eps max|p_eps| <= u_h <= u_eps at every node, mirrored for a lower obstacle
-                width = last.eps * largest(problem.level.comm, np.abs(state.p))
+                width = last.eps * largest(problem.level.comm, np.abs(state.contact.pressure))
                 record["enclosure"] = {"width": width, "guaranteed": problem.m_matrix}
         if self._report is not None:
             record |= {"report": self._reported(state), **self._report.extremes}
         # clocks differ between ranks: rank 0 speaks for all
         record, history = problem.level.comm.bcast((record, last.history))
-        tension = problem.model.elastic.tension_at(state.u, problem.data)
-        fields, scene = fields_of(problem, state), scene.with_options(options)
+        fields, scene = state.fields, scene.with_options(options)
+        tension = problem.model.elastic.tension_at(fields.u, problem.data)
         answer = Answer(fields, history, record, certified, tension, scene=scene, time_history=time_history)
         return self.measured(answer) if errors else answer
 
@@ -241,7 +260,7 @@ class SolverContext:
         """The output quantities of [report] (collective)."""
         if self._report is None:
             return {}
-        fields = {"u": state.u, "p": state.pressure, "contact": state.touching}
+        fields = {"u": state.fields.u, "p": state.fields.pressure, "contact": state.fields.contact}
         share = 1.0 if self.scene.time is None else self.scene.time.share
         return self._report.evaluate(fields, self.problem.elastic.array_r * share)
 
@@ -277,13 +296,15 @@ class SolverContext:
         self, options: SolverOptions, outcome: Outcome, state: State, seconds: float, counts: Mapping[str, Any]
     ) -> dict[str, Any]:
         """The record of a solve but for bound and [report] (collective)."""
-        table, times = self.scene.tables, {"mesh": self.mesh_seconds, "solve": seconds}
-        figures = record_of(self.problem, options.method, outcome, state, self.started, name=self.scene.name,
-                            title=table.title, refine=table.mesh.refine, seconds=times)  # fmt: skip
+        table = self.scene.tables
+        poisson = self.__dict__.get("poisson")  # where it was timed
+        figures = record_of(self.problem, options.method, outcome, state, self.started)
         remarks = [*figures.get("remarks", ()), *counts.get("remarks", ())]
         return {
-            **figures, **counts, "poisson_seconds": self._poisson,
-            "poisson_units": None if self._poisson is None else seconds / self._poisson,
+            **figures, "scene": self.scene.name, "title": table.title, "refine": table.mesh.refine,
+            "seconds": {**figures["seconds"], "mesh": self.mesh_seconds, "solve": seconds},
+            **counts, "poisson_seconds": poisson,
+            "poisson_units": None if poisson is None else seconds / poisson,
             **({"remarks": remarks} if remarks else {}),
         }  # fmt: skip
 

@@ -27,7 +27,7 @@ from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
-from fenicsx_obstacle.problems.solve import State, fields_of, state_of
+from fenicsx_obstacle.problems.solve import State, state_of
 from fenicsx_obstacle.text import one_line
 
 _log = logging.getLogger(__name__)
@@ -190,9 +190,9 @@ class TimeStepper:
             self._size = max(self._size, largest(self.problem.level.comm, np.abs(u_before)))
         found = self._within.excess(before, t, self._size, None if u is None else (u_before, u))
         if found is not None and t - before <= NO_STEP * self.moments.end:
-            name = one_line(self.moments.name)
+            name, (datum, when, size) = one_line(self.moments.name), found
             raise InputError(
-                f"{found.datum}: at {name} = {found.t:.9g} it is {found.size:.3g} beyond its values at both ends of "
+                f"{datum}: at {name} = {when:.9g} it is {size:.3g} beyond its values at both ends of "
                 f"the smallest time step, {t - before:.1e}: [time] tolerance cannot follow a change that is so short; "
                 "let it last longer, or leave out the key 'tolerance'"
             )
@@ -349,7 +349,7 @@ class TimeStepper:
         self._remember()
         state, last = self.state, outcomes[-1] if outcomes else None
         if last is None:  # nothing is in balance yet: there is no pressure
-            state.pressure.x.array[:] = state.touching.x.array[:] = 0.0
+            state.fields.pressure.x.array[:] = state.fields.contact.x.array[:] = 0.0
         figures: dict[str, Any] = {"energy": state.energy}
         if self.steps.velocity is not None:
             kinetic = self._kinetic()
@@ -360,7 +360,7 @@ class TimeStepper:
             figures["penetration"] = state.contact.penetration
             figures |= self._reported(state)
         counts = (None, None) if last is None else (last.iterations, last.krylov)
-        self.course.add(t, counts, figures, lambda: frame_of(fields_of(self.problem, state)))
+        self.course.add(t, counts, figures, lambda: frame_of(state.fields))
 
     def _kinetic(self) -> float:
         """rho v^2/2, by the nodal rule."""

@@ -215,7 +215,7 @@ class ComponentSystem(System):
         sides = [any(side in one for one in bounds.values()) for side in ("lower", "upper")]
         self.lower, self.upper = (np.full(own, g) if is_side else None
                                   for g, is_side in zip((-np.inf, np.inf), sides, strict=True))  # fmt: skip
-        slope = residual.slope if residual.J is None or residual.affine else residual.J
+        slope = residual.slope if residual.J is None else residual.J
         forms, state = {"F": residual.F, "J": slope, "energy": residual.functional}, fem.Function(V)
         made = {key: releases.form(ufl.replace(one, {u: state})) for key, one in forms.items() if one is not None}
         law = (FormLaw if self.affine else NonlinearFormLaw)(made, state, weights, np.flatnonzero(self.fixed), sides)

@@ -49,17 +49,18 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     Raises:
         InputError: Naming what came, and what is expected.
     """
-    kinds = ("a functional of u", "a linear form in one test function", "a bilinear form in trial and test function")
+    kind, words, which = (
+        ("a functional of u", "must be a functional of u", "not at all"),
+        ("a linear form in one test function", "must be linear in one test function, and contain no trial function",
+         "it exactly once"),
+        ("a bilinear form in trial and test function", "must be bilinear, in a trial and a test function",
+         "each of them exactly once"),
+    )[arguments]  # fmt: skip
     if isinstance(form, ufl.equation.Equation):
         raise InputError(f"{place} is an equation: give the residual, a(u, v) - L(v), in place of a(u, v) == L(v)")
     if not isinstance(form, ufl.Form):
-        raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kinds[arguments]}")
+        raise InputError(f"{place} = {shown(form)}: expected a UFL form, {kind}")
     found = form.arguments()
-    words = (
-        "must be a functional of u",
-        "must be linear in one test function, and contain no trial function",
-        "must be bilinear, in a trial and a test function",
-    )[arguments]
     if len(found) != arguments:
         raise InputError(f"{place} {words}")
     if any(argument.ufl_function_space() != u.function_space for argument in found):
@@ -75,7 +76,6 @@ def check_form(form: Any, u: fem.Function, place: str, arguments: int) -> None:
     try:
         check_form_arity(expanded(form), found)
     except (Exception, ArityMismatch) as error:  # of UFL 2024 on, ArityMismatch is no Exception
-        which = ("not at all", "it exactly once", "each of them exactly once")[arguments]
         raise InputError(f"{place} {words}; every term must hold {which}") from error
     tagged = {one.integral_type() for one in form.integrals() if one.subdomain_data() is not None}
     for one in form.integrals():
@@ -97,11 +97,11 @@ def check_integrals(form: ResidualForm, bcs: Sequence[Any], place: str) -> None:
         InputError: With the remedy.
     """
     V = form.u.function_space
-    given = form.J is not None and not form.affine
-    integrals = expanded(form.J if given else form.slope).integrals()
+    slope = form.slope if form.J is None else form.J
+    integrals = expanded(slope).integrals()
     if any(one.integral_type() == "cell" and "everywhere" in ids_of(one) for one in integrals):
         return
-    place = f"{place}: J" if given else f"{place}: the derivative of F"
+    place = f"{place}: the derivative of F" if form.J is None else f"{place}: J"
     if not integrals:
         raise _zero(place)
     lost = ~_reached(integrals, V)
@@ -116,7 +116,7 @@ def check_integrals(form: ResidualForm, bcs: Sequence[Any], place: str) -> None:
         )
     by_facets = ~_reached([one for one in integrals if one.integral_type() == "cell"], V)
     if total(comm, by_facets) > 0:
-        lost = by_facets & _has_zero_row(form.J if given else form.slope, form.u, bcs)
+        lost = by_facets & _has_zero_row(slope, form.u, bcs)
         if total(comm, lost) > 0:
             raise InputError(
                 f"{place} is zero at {_some_of(lost, V)}, which its integrals over facets do not reach: add an "
@@ -343,10 +343,7 @@ def refuse_no_positive_diagonal(problem: Problem, diagonal: np.ndarray, form: Re
         raise InputError(f"{place}: u is given at every node: there are no unknowns")
     if form is not None:
         refuse_not_finite(problem, form, place)
-    given = form is not None and form.J is not None and not problem.affine
-    slope = "J" if given else "the derivative of F"
-    if negative == free and problem.affine:
-        raise _wrong_sign(f"{place}: every diagonal entry of {slope} is negative")
+    slope = "the derivative of F" if form is None or form.J is None else "J"
     if negative == free:
         raise InputError(
             f"{place}: eps = 'auto': every diagonal entry of {slope} is negative at the start: if no sign in it is "

@@ -8,6 +8,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cached_property
 from itertools import count
 from typing import TYPE_CHECKING, Any, cast
 
@@ -60,7 +61,7 @@ from fenicsx_obstacle.problems.input_checks import (
 from fenicsx_obstacle.problems.record import record_of
 from fenicsx_obstacle.problems.residual_form import ResidualForm, by_one_rule
 from fenicsx_obstacle.problems.solution import Solution
-from fenicsx_obstacle.problems.solve import State, fields_of, solve
+from fenicsx_obstacle.problems.solve import State, solve
 from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
@@ -197,7 +198,7 @@ class ObstacleProblem:
         warn_of_conditions(held, mesh.comm, name)
         residual = ResidualForm(F=F, u=u, functional=energy, J=J)
         if residual.affine:
-            residual = replace(residual, F=by_one_rule(F))
+            residual = replace(residual, F=by_one_rule(F), J=None)
         if not isinstance(petsc_options_prefix, str):
             raise InputError(f"{name}: petsc_options_prefix = {shown(petsc_options_prefix)}: expected a text")
         checked_options(form_compiler_options, f"{name}: form_compiler_options", "{'scalar_type': 'float64'}")
@@ -238,21 +239,12 @@ class ObstacleProblem:
                     check_energy(self._problem, self._diagonal(), residual, name)
 
     @classmethod
-    def of_model(
-        cls,
-        model: Model,
-        level: Level,
-        *,
-        petsc_options_prefix: str = "",
-        petsc_options: Mapping[str, Any] | None = None,
-    ) -> ObstacleProblem:
+    def of_model(cls, model: Model, level: Level) -> ObstacleProblem:
         """A problem made of effects, for which there are error bounds (collective).
 
         Args:
             model: Effects, obstacles and boundary values, none of which depends on time.
             level: Mesh and spaces; those of the levels below it give a start.
-            petsc_options_prefix: As for the class.
-            petsc_options: As for the class.
 
         Raises:
             InputError: If the model has time, or no u can satisfy the data.
@@ -261,7 +253,7 @@ class ObstacleProblem:
             raise InputError(f"{model.source}: an ObstacleProblem is one equilibrium; solve() takes [time]")
         self = cls.__new__(cls)
         u = fem.Function(level.V, name="u")
-        self._set_up(Data(model, level), u, None, petsc_options_prefix, petsc_options, (None, None))
+        self._set_up(Data(model, level), u, None, "", None, (None, None))
         u.x.array[:] = self._problem.solution().x.array
         return self
 
@@ -279,7 +271,6 @@ class ObstacleProblem:
         self.u, self._data, self._form, self._compiled = u, data, form, compiled
         self._vertices = vertex_digests(data.level)
         self._options = checked_options(options, f"{self.name}: petsc_options")
-        self._estimator: Estimator | None = None
         started = time.perf_counter()
         kind = Problem
         if self._vector_valued:  # a scalar problem does not load this
@@ -358,21 +349,20 @@ class ObstacleProblem:
         started = time.perf_counter()
         if self._components is not None:
             return cast(Any, self._solved_in_components(self._components, eps, method, rtol, bound, monitor))
-        if bound and self._estimator is None:
-            self._estimator = self._bounds()
+        estimator = self._estimator if bound else None  # raises before anything is solved
         outcome, state = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
         began = started - self._setup_seconds
-        record = record_of(problem, method, outcome, state, began, name=self.name)
-        certified = self._estimator.bound() if bound and self._estimator is not None else None
+        record = record_of(problem, method, outcome, state, began) | {"scene": self.name}
+        certified = None if estimator is None else estimator.bound()
         if certified is not None:
             record["bound"] = {**certified.record, "effectivity": None}
         self._setup_seconds = 0.0
         # clocks differ between ranks: rank 0 speaks for all
         record, history = level.comm.bcast((record, outcome.history))
-        state.u.name = self.u.name
-        tension = self._data.model.elastic.tension_at(state.u, self._data)
-        fields = fields_of(problem, state)
+        fields = state.fields
+        fields.u.name = self.u.name
+        tension = self._data.model.elastic.tension_at(fields.u, self._data)
         if self._vector_valued:
             from fenicsx_obstacle.problems.vector_valued import vector_fields
 
@@ -446,14 +436,13 @@ class ObstacleProblem:
 
     def _options_of(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> SolverOptions:
         """Method and eps, checked like the other arguments."""
-        options = SolverOptions(method, source=f"{self.name}:")
         if not isinstance(rtol, numbers.Real) or isinstance(rtol, bool) or not 0 < rtol < ON_THE_WAY:
             given = f"{rtol:g}" if isinstance(rtol, numbers.Real) else shown(rtol)
             raise InputError(f"{self.name}: rtol = {given}: expected a number between 0 and {ON_THE_WAY:g}")
         value = number_of(eps, self.name)
         if monitor is not None and not callable(monitor):
             raise InputError(f"{self.name}: monitor = {shown(monitor)}: expected a function of a number and a Step")
-        return options if method == "vi" else SolverOptions(method, value, source=f"{self.name}:")
+        return SolverOptions(method, "auto" if method == "vi" else value, source=f"{self.name}:")
 
     def _solved(self, eps: Any, method: str, rtol: float, monitor: Monitor | None) -> tuple[Outcome, State]:
         """Solve, into u (collective)."""
@@ -477,7 +466,7 @@ class ObstacleProblem:
                 problem.set_reference(self.u.x.array[: problem.owned].copy())
                 raise error.changed(reason=error.reason + flat_start(problem, self._form)) from None
             warn_of_indefinite(problem, self._form, self.name)
-        self.u.x.array[:], self._pressure, self._solved_before = state.u.x.array, state.p, True
+        self.u.x.array[:], self._pressure, self._solved_before = state.fields.u.x.array, state.contact.pressure, True
         if options.eps == "auto" and outcomes[-1].eps is not None:
             self._eps = outcomes[-1].eps  # so that the next solve gives the same solution
         return outcomes[-1], state
@@ -545,8 +534,9 @@ class ObstacleProblem:
             problem.set_reference(problem.between(start))
         problem.judge_load()
 
-    def _bounds(self) -> Estimator:
-        """Bounds of the energy error (collective).
+    @cached_property
+    def _estimator(self) -> Estimator:
+        """Bounds of the energy error (first use is collective).
 
         Raises:
             InputError: If there are none for a form, the elements or the effects.

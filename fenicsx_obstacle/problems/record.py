@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,11 +26,6 @@ def record_of(
     outcome: Outcome,
     state: State,
     started: float,
-    *,
-    name: str = "",
-    title: str = "",
-    refine: int = 0,
-    seconds: Mapping[str, float] = {},
 ) -> dict[str, Any]:
     """Description of the problem, output quantities of its solution, counts, times and memory (collective).
 
@@ -41,23 +35,19 @@ def record_of(
         outcome: Of the iteration.
         state: What came out.
         started: When it began, by `time.perf_counter`.
-        name: Of the problem.
-        title: Of the problem.
-        refine: How often the mesh of a file was refined.
-        seconds: Of these the times of mesh and solve, where they are not 0 and the whole.
     """
-    level, contact, eps = problem.level, state.contact, outcome.eps
+    level, contact, eps, u = problem.level, state.contact, outcome.eps, state.fields.u.x.array
     peclet = {} if problem.drift is None else {"peclet": problem.drift.number}
     figures: dict[str, Any] = {
-        "scene": name, "title": title, "method": method,
+        "scene": "", "title": "", "method": method,
         **({"m_matrix": problem.m_matrix} if method == "successive" else {}),
         "element": level.pair.name, "ranks": level.comm.size,
-        "cells": None if level.shape is None else level.shape.cells[0], "refine": refine,
+        "cells": None if level.shape is None else level.shape.cells[0], "refine": 0,
         "cells_total": level.cells, "dofs": level.dofs,
         "free": int(total(level.comm, np.count_nonzero(~problem.fixed))),
         "h": level.h, "h_max": level.h_max, "eps": eps, **peclet, "energy": state.energy,
         "penetration": contact.penetration,
-        "u_range": largest(level.comm, state.u.x.array) - smallest(level.comm, state.u.x.array),
+        "u_range": largest(level.comm, u) - smallest(level.comm, u),
         "contact": {"area": contact.area, **{side: {"force": f} for side, f in state.sides(problem).items()}},
     }  # fmt: skip
     if remarks := [*level.remarks, *_too_coarse(problem)]:
@@ -70,12 +60,12 @@ def record_of(
         if (jump := boundary_jump(problem.data)) is not None:
             figures["boundary_jump"] = jump
     if problem.constrained and problem.affine and level.pair.nodal and problem.model.time is None:
-        figures["round_off"] = round_off(problem, state.p, eps)
+        figures["round_off"] = round_off(problem, contact.pressure, eps)
     spent = time.perf_counter() - started
     return {
         **figures, "converged": outcome.converged, "reason": "CONVERGED_FNORM_ABS",
         "newton_iterations": outcome.iterations, "krylov_iterations": outcome.krylov,
-        "seconds": {"total": spent, "mesh": 0.0, "solve": spent, **seconds},
+        "seconds": {"total": spent, "mesh": 0.0, "solve": spent},
         "memory_mb": peak_memory_mb(level.comm), "versions": versions(), "command": command(level.comm.size),
     }  # fmt: skip
 

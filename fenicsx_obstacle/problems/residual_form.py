@@ -33,7 +33,7 @@ class ResidualForm(Elastic):
         F: Residual.
         u: Its unknown.
         functional: Whose derivative F is, or None.
-        J: The derivative of F, or None for UFL's own.
+        J: The derivative of an F that is not linear, or None for UFL's own.
     """
 
     value: Any = None
@@ -86,7 +86,7 @@ class ResidualForm(Elastic):
         return ufl.replace(self.F, {self.u: u, self.F.arguments()[0]: v})
 
     def derivative(self, u: Any, v: Any, data: Any) -> ufl.Form | None:
-        if self.J is None or self.affine:
+        if self.J is None:
             return None
         return ufl.replace(self.J, {self.u: u, self.J.arguments()[0]: v})
 

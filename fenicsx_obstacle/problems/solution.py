@@ -143,8 +143,7 @@ class Solution:
     @property
     def seconds(self) -> Seconds:
         """Wall time of the solve."""
-        seconds = self.record["seconds"]
-        return Seconds(seconds["total"], seconds["mesh"], seconds["solve"])
+        return msgspec.convert(self.record["seconds"], Seconds)
 
     # fields
 

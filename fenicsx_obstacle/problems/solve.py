@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from dolfinx import fem
-
 from fenicsx_obstacle.algebra.methods import Method, method_of
 from fenicsx_obstacle.algebra.nested import Levels, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
@@ -23,18 +20,12 @@ class State:
     """Fields and contact of a solution.
 
     Attributes:
-        u: Solution.
-        p: Pressure at owned points of I.
-        pressure: The same in Q_h.
-        touching: 1 at points of I in contact, in Q_h.
+        fields: u, pressure, contact set and obstacles; later values of the obstacles do not change them.
         contact: Contact set and forces.
         energy: Of what is at rest, the penalty's included; None where there is none.
     """
 
-    u: fem.Function
-    p: np.ndarray
-    pressure: fem.Function
-    touching: fem.Function
+    fields: Fields
     contact: Contact
     energy: float | None
 
@@ -82,18 +73,9 @@ def solve(
     return outcomes, state_of(problem, method)
 
 
-def fields_of(problem: Problem, state: State) -> Fields:
-    """The fields of a state; later values of the obstacles do not change them."""
-    data = problem.data
-    sides = (None, None) if data.thin else (data.lower, data.upper)
-    kept = (None if side is None else side.copy() for side in sides)
-    return Fields(problem.level, state.u, state.pressure, state.touching, *kept)
-
-
 def state_of(problem: Problem, method: Method) -> State:
     """The state of a problem after a solve (collective)."""
-    p = method.pressure(problem)
-    contact = contact_of(problem, p)
+    data, contact = problem.data, contact_of(problem, method.pressure(problem))
     energy = None
     if problem.has_energy:
         x = problem.vector()
@@ -102,4 +84,6 @@ def state_of(problem: Problem, method: Method) -> State:
             energy = (1 - problem.share) * problem.energy(x, penalised=False, moving=False) + problem.share * energy
         x.destroy()
     touching = problem.in_q((contact.lower | contact.upper).astype(float))
-    return State(problem.solution(), p, problem.pressures(p * problem.thickness), touching, contact, energy)
+    pressure = problem.pressures(contact.pressure * problem.thickness)
+    sides = (None if side is None or data.thin else side.copy() for side in (data.lower, data.upper))
+    return State(Fields(problem.level, problem.solution(), pressure, touching, *sides), contact, energy)

@@ -72,7 +72,7 @@ def _report(study: Study, store: RowStore, say: Say, latex: Path | None) -> list
         on_root(comm, write_text, latex, table.latex())
     last = latest[1] if latest[0] is rows[-1] else None
     if last is None and not on_root(comm, _is_drawn, folder, rows[-1]):
-        last = study.last_answer()
+        last = study.solve(rows[-1]["vary"], study.last)
     if last is not None:
         last.save(folder / "last")
         if has_picture(last):

@@ -52,39 +52,27 @@ def choices(scene: Scene) -> list[Choice]:
     own, nested, penalty = scene.pair.name, "started from the solution on the next coarser mesh", {"method": "penalty"}
     if own == "P2":
         own = "P1"
-    found = []
-    if scene.sides:
-        found += [
-            Choice(f"{own} VI", f"no penalty: the variational inequality by PETSc's SNES VI, {nested}",
-                   own, {"method": "vi"}),
-            Choice(f"{own} VI cold", "the same solver started without contact",
-                   own, {"method": "vi", "start": "cold"}),
-            Choice(f"{own} eps fixed", "penalty with one value of eps for all meshes, as many codes do",
-                   own, {"eps": FIRST, **penalty}),
-            Choice(f"{own} eps = h", "penalty with eps proportional to the side h of a cell",
-                   own, {"eps": "h", **penalty}),
-            Choice(f"{own} eps = h^2", "penalty with Kikuchi's eps = h^2, which keeps the order of convergence",
-                   own, {"eps": "h^2", **penalty}),
-        ]  # fmt: skip
-    found += [
+    bounded = "the same on meshes refined where a bound of the error says that it is"
+    found = [
+        Choice(f"{own} VI", f"no penalty: the variational inequality by PETSc's SNES VI, {nested}",
+               own, {"method": "vi"}),
+        Choice(f"{own} VI cold", "the same solver started without contact",
+               own, {"method": "vi", "start": "cold"}),
+        Choice(f"{own} eps fixed", "penalty with one value of eps for all meshes, as many codes do",
+               own, {"eps": FIRST, **penalty}),
+        Choice(f"{own} eps = h", "penalty with eps proportional to the side h of a cell",
+               own, {"eps": "h", **penalty}),
+        Choice(f"{own} eps = h^2", "penalty with Kikuchi's eps = h^2, which keeps the order of convergence",
+               own, {"eps": "h^2", **penalty}),
         Choice(f"{own} auto", f"this program's default: penalty with eps = h^2/100, {nested}",
                own, {"eps": "auto", **penalty}),
-        Choice(f"{own} adaptive", "the same on meshes refined where a bound of the error says that it is",
-               own, {"eps": "auto", **penalty}, adaptive=True),
+        Choice(f"{own} adaptive", bounded, own, {"eps": "auto", **penalty}, adaptive=True),
+        Choice("P2 VI", "quadratic elements, the inequality itself", "P2", {"method": "vi"}),
+        Choice("P2 eps = h^2", "quadratic elements with Kikuchi's eps = h^2", "P2", {"eps": "h^2", **penalty}),
+        Choice("P2 auto", "quadratic elements, eps = h^2/100", "P2", {"eps": "auto", **penalty}),
+        Choice("P2 adaptive", bounded, "P2", {"eps": "auto", **penalty}, adaptive=True),
     ]  # fmt: skip
-    if scene.sides:
-        found += [
-            Choice("P2 VI", "quadratic elements, the inequality itself", "P2", {"method": "vi"}),
-            Choice("P2 eps = h^2", "quadratic elements with Kikuchi's eps = h^2",
-                   "P2", {"eps": "h^2", **penalty}),
-        ]  # fmt: skip
-    found += [
-        Choice("P2 auto", "quadratic elements, eps = h^2/100",
-               "P2", {"eps": "auto", **penalty}),
-        Choice("P2 adaptive", "the same on meshes refined where a bound of the error says that it is",
-               "P2", {"eps": "auto", **penalty}, adaptive=True),
-    ]  # fmt: skip
-    return found
+    return [choice for choice in found if scene.sides or choice.solve.get("eps") == "auto"]
 
 
 def uniform_meshes(scene: Scene) -> Iterator[Scene]:

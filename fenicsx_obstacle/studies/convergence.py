@@ -133,16 +133,12 @@ class Study:
                 on_row(row, answer)
         return rows
 
-    def last_answer(self) -> Answer:
-        """The answer of the last row, for a study whose last row came from its store (collective)."""
-        return self.solve(*self.points[-1])
-
     def solve(self, combination: Mapping[str, Any], scene: Scene) -> Answer:
         """The answer of a scene with these values of the keys (collective)."""
         return self._solves.answer(combination, scene, uncertainty=self._uncertainty)
 
-    def row(self, combination: Mapping[str, Any], scene: Scene, *, keep: bool = True) -> tuple[Row, Answer | None]:
-        """A row, and its answer where it is computed now; it is kept if so (collective)."""
+    def row(self, combination: Mapping[str, Any], scene: Scene) -> tuple[Row, Answer | None]:
+        """A row, which is kept, and its answer where it is computed now (collective)."""
         key = self._key(scene)
         if self.store is not None and (stored := self.store.find(key)) is not None:
             try:
@@ -154,11 +150,7 @@ class Study:
         if self._key(scene) != key:
             raise InputError(f"{scene.source}: one of its files has changed while it was solved: run the study again")
         row = {"vary": dict(combination), **answer.record, **self._extras(answer)}
-        return self.keep(row, scene) if keep else row, answer
-
-    def keep(self, row: Row, scene: Scene) -> Row:
-        """Keep a row, unless it is there (collective)."""
-        return row if self.store is None or "key" in row else self.store.add(self._key(scene), row)
+        return row if self.store is None else self.store.add(key, row), answer
 
     def write_table(self, rows: list[Row]) -> None:
         """Write rows.csv, where rows are kept (collective)."""

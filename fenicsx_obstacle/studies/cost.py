@@ -20,12 +20,10 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
-from fenicsx_obstacle.answers.adapt import Budget, Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation, Budget
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.io.folder import ANSWER, content_of
 from fenicsx_obstacle.mesh.memory import fits
 from fenicsx_obstacle.mesh.meshing import read_once
@@ -81,6 +79,7 @@ class CostStudy:
         self._warm: set[tuple[Any, ...]] = set()
         self._fixed: float | None = None
         self._dim: int | None = None  # of the meshes
+        self._before = 0.0  # MB, before the present mesh
 
     @read_once()
     def run(self, on_row: OnRow, store: RowStore) -> list[Row]:
@@ -144,7 +143,7 @@ class CostStudy:
             going = [choice for choice in members if choice.name not in self.ends]
             if not going:
                 return
-            mesh: CostMesh | None = None
+            mesh: SolverContext | None = None
             try:
                 for choice in going:
                     scene = self._scene_of(choice, size)
@@ -156,7 +155,7 @@ class CostStudy:
                             mesh = mesh or self._mesh(scene)
                             row |= self._solved(mesh, scene)
                         except (NotConverged, InputError) as error:
-                            dofs = {} if mesh is None else {"dofs": mesh.work.problem.level.dofs}
+                            dofs = {} if mesh is None else {"dofs": mesh.problem.level.dofs}
                             row |= {**dofs, "reason": without_name(error, self.full)}
                         row = self._store.add(key, row)
                     found[choice.name].append(row)
@@ -167,7 +166,7 @@ class CostStudy:
                     mesh.close()
                     self.truth.forget()
 
-    def _mesh(self, scene: Scene) -> CostMesh:
+    def _mesh(self, scene: Scene) -> SolverContext:
         """A mesh on which forms are compiled already (collective).
 
         Raises:
@@ -179,23 +178,26 @@ class CostStudy:
             for method in ("penalty", "vi"):
                 with closing(SolverContext(scene, self.comm)) as context, suppress(NotConverged, InputError):
                     context.answer(replace(scene.options, method=method, eps="auto"))
-        return CostMesh(scene, self.comm)
+        self._before = forget_peak_memory(self.comm)
+        mesh = SolverContext(scene, self.comm)
+        _ = mesh.distance, mesh.poisson
+        return mesh
 
-    def _solved(self, mesh: CostMesh, scene: Scene) -> Row:
+    def _solved(self, mesh: SolverContext, scene: Scene) -> Row:
         """The values of a row (collective).
 
         Raises:
             InputError, NotConverged: If there are none.
         """
         forget_peak_memory(self.comm)
-        answer = mesh.work.answer(scene.options)
-        row = self._figures(mesh.work, answer, mesh.before, mesh.distance)
-        spent = {"poisson_seconds": mesh.poisson, "seconds": mesh.work.mesh_seconds + row["solve"]}
-        return {**row, **spent, "parts": mesh.parts(answer)}
+        answer = mesh.answer(scene.options)
+        row = self._figures(mesh, answer)
+        spent = {"poisson_seconds": mesh.poisson, "seconds": mesh.mesh_seconds + row["solve"]}
+        return {**row, **spent, "parts": parts(mesh, answer)}
 
-    def _figures(self, work: SolverContext, answer: Answer, before: float, distance: Distance) -> Row:
+    def _figures(self, work: SolverContext, answer: Answer) -> Row:
         """Values that every row has (collective)."""
-        memory, record = peak_memory_mb(self.comm) - before - self.truth.occupied, answer.record
+        memory, record = peak_memory_mb(self.comm) - self._before - self.truth.occupied, answer.record
         seconds, occupied = record["seconds"], forget_peak_memory(self.comm)
         errors = self.truth.errors(work, answer)
         self.truth.occupied += max(forget_peak_memory(self.comm) - occupied, 0.0)
@@ -203,7 +205,7 @@ class CostStudy:
             "dofs": record["dofs"], "cells": record["cells"], "cells_total": record["cells_total"], "h": record["h"],
             "eps": record["eps"], "newton": record["newton_iterations"], "krylov": record["krylov_iterations"],
             "solve": seconds["solve"], "mesh": seconds["mesh"], "memory_mb": memory,
-            "errors": errors, "sizes": sizes_of(distance, answer),
+            "errors": errors, "sizes": sizes_of(work.distance, answer),
             "floor": floor_of(work, answer),
         }  # fmt: skip
 
@@ -231,20 +233,20 @@ class CostStudy:
     def _refined(self, scene: Scene, first: int) -> Generator[Row, None, None]:
         """The values of a row on each mesh, of this number on, or in the end why there is none (collective)."""
         try:
-            with closing(Refinement(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
+            with closing(Adaptation(scene, self.comm).meshes()) as meshes:  # compiles what is not compiled yet
                 for _ in islice(meshes, 2):
                     pass
-            before, memory = forget_peak_memory(self.comm), 0.0
-            refinement = Refinement(scene, self.comm)
+            self._before, memory = forget_peak_memory(self.comm), 0.0
+            refinement = Adaptation(scene, self.comm)
             with closing(refinement.meshes(unknowns=self.budget.unknowns)) as meshes:
                 for number, (work, answer) in enumerate(meshes):
                     if refinement.full:
                         return
-                    memory = max(memory, peak_memory_mb(self.comm) - before)
+                    memory = max(memory, peak_memory_mb(self.comm) - self._before)
                     if number < first:
                         continue
                     assert answer.bound is not None
-                    figures = self._figures(work, answer, before, Distance(work.problem))
+                    figures = self._figures(work, answer)
                     spent = {"seconds": refinement.path[-1]["seconds"], "poisson_seconds": None, "memory_mb": memory}
                     yield {**figures, "bound": answer.bound.record, "parts": {}, **spent}
                     forget_peak_memory(self.comm)  # of what measured the errors
@@ -267,7 +269,7 @@ class CostStudy:
                 except InputError:
                     return
             with closing(mesh) if mesh is not None else nullcontext():
-                if mesh is not None and mesh.work.problem.level.dofs > self.budget.unknowns:
+                if mesh is not None and mesh.problem.level.dofs > self.budget.unknowns:
                     return
                 for k, (key, row) in enumerate(zip(keys, stored, strict=True)):
                     if row is None:
@@ -319,34 +321,14 @@ class CostStudy:
         return on_root(self.comm, row_key, scene, f"cost {kind} {truth}", self.comm.size)
 
 
-class CostMesh:
-    """A solver context, the solution of the inequality on its mesh, and the time of a Poisson solve there."""
-
-    def __init__(self, scene: Scene, comm: MPI.Comm):
-        self.before = forget_peak_memory(comm)
-        self.work = SolverContext(scene, comm)
-        self._reference: Answer | None = None
-        self.distance = Distance(self.work.problem)
-        self.poisson = comm.bcast(poisson_seconds(self.work.problem.level))
-
-    def close(self) -> None:
-        """Free what it holds (collective)."""
-        self._reference = None
-        del self.distance
-        self.work.close()
-
-    def parts(self, answer: Answer) -> dict[str, dict[str, float]]:
-        """The part of eps: distance to the solution of the inequality on the same mesh (collective)."""
-        if answer.record["method"] == "vi":
-            self._reference = answer
-        if answer.record["eps"] is None:
-            return {}
-        if self._reference is None:
-            with suppress(NotConverged):
-                self._reference = self.work.answer(replace(self.work.scene.options, method="vi"))
-        if self._reference is None:
-            return {}
-        return {"eps": self.distance.of_u(answer.u.x.array - self._reference.u.x.array)}
+def parts(context: SolverContext, answer: Answer) -> dict[str, dict[str, float]]:
+    """The part of eps: distance to the solution of the inequality on the same mesh (collective)."""
+    if answer.record["method"] == "vi":
+        context.inequality = answer
+    if answer.record["eps"] is not None:
+        with suppress(NotConverged):
+            return {"eps": context.distance.of_u(answer.u.x.array - context.inequality.u.x.array)}
+    return {}
 
 
 def floor_of(context: SolverContext, answer: Answer) -> float:
@@ -371,19 +353,19 @@ def too_many(budget: Budget) -> str:
     return f"the next mesh would have more than the {budget.unknowns:g} unknowns of the budget"
 
 
-def place(context: CostMesh, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
+def place(context: SolverContext, scene: Scene, truth: Truth, k: int) -> dict[str, Any]:
     """One place of the map over h and eps: k powers of ten below 1/mu L^2 (collective)."""
-    problem = context.work.problem
+    problem = context.problem
     h = problem.level.h
     unit = penalty_parameter(problem, scene.options) / h**2  # 1/mu
     eps = unit * problem.data.extent**2 * 10.0**-k
     row: dict[str, Any] = {"choice": "map", "h": h, "eps": eps, "paper": unit * h**2, "auto": unit * h**2 / 100,
                 "floor": smallest_eps(problem)}  # fmt: skip
     try:
-        answer = context.work.answer(replace(scene.options, eps=eps))
+        answer = context.answer(replace(scene.options, eps=eps))
     except (NotConverged, InputError) as error:
         return {**row, "reason": without_name(error, scene)}
-    row |= {"errors": truth.errors(context.work, answer), "sizes": sizes_of(context.distance, answer)}
+    row |= {"errors": truth.errors(context, answer), "sizes": sizes_of(context.distance, answer)}
     return {**row, "line": answer.record.get("round_off", {}).get("line")}
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.meshing import read_once
 from fenicsx_obstacle.problems.summary import lookup
@@ -105,7 +104,6 @@ class Find(Study):
             raise InputError(f"{scene.source}: target '{target}': its value depends on {self.key}; take a quantity of "
                              "[report] that is the difference, and the target 0")  # fmt: skip
         self.rows: dict[float, Row] = {}
-        self._nearest: tuple[float, Answer | None] = (math.inf, None)
         self.found = self.ends[1]
 
     @read_once()
@@ -117,25 +115,22 @@ class Find(Study):
             store: Where finished rows are kept, or None.
 
         Raises:
-            InputError: If the target is not between the values at both ends; no row is kept then.
+            InputError: If the target is not between the values at both ends, whose rows are kept.
         """
-        self.store = store
-        solved = [self.row(values, scene, keep=False) for values, scene in self.points]
-        values = [self._value(x, row) for x, (row, _) in zip(self.ends, solved, strict=True)]
-        self._check_bracket(values)
-        for x, (_, scene), (row, answer) in zip(self.ends, self.points, solved, strict=True):
-            self._take(x, self.keep(row, scene), answer, on_row)
-        del solved
-
         from scipy.optimize import brentq  # only where a target is looked for
+
+        self.store = store
 
         def difference(x: float) -> float:
             x = self.comm.bcast(float(x))  # one value on all ranks
             if x not in self.rows:
-                row, answer = self.row({self.key: x}, changed(self.base, {self.key: x}))
-                self._take(x, row, answer, on_row)
+                self.rows[x], answer = self.row({self.key: x}, changed(self.base, {self.key: x}))
+                if on_row is not None:
+                    on_row(self.rows[x], answer)
             return self._value(x, self.rows[x]) - self.target
 
+        values = [difference(x) + self.target for x in self.ends]
+        self._check_bracket(values)
         width = self.ends[1] - self.ends[0]
         root = brentq(difference, *self.ends, xtol=self.within * width, rtol=4 * 2.0**-52)
         steep = STEEP * self.within * (max(values) - min(values))
@@ -149,24 +144,6 @@ class Find(Study):
     def reached(self, row: Row) -> float:
         """The quantity in a row."""
         return self._value(row["vary"][self.key], row)
-
-    def last_answer(self) -> Answer:
-        """The answer of the row that was found (collective)."""
-        x, answer = self._nearest
-        if answer is not None and x == self.found:
-            return answer
-        return self.solve({self.key: self.found}, self.last)
-
-    def _take(self, x: float, row: Row, answer: Answer | None, on_row: OnRow | None) -> None:
-        self.rows[x] = row
-        best, _ = self._nearest
-        if not math.isfinite(best) or self._distance(x) < self._distance(best):
-            self._nearest = x, answer
-        if on_row is not None:
-            on_row(row, answer)
-
-    def _distance(self, x: float) -> float:
-        return abs(self._value(x, self.rows[x]) - self.target)
 
     def _value(self, x: float, row: Row) -> float:
         """The quantity in a row.

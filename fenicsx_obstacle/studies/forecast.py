@@ -16,7 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenicsx_obstacle.answers.adapt import Adaptation, Refinement, Work
+from fenicsx_obstacle.answers.adapt import Adaptation, Work
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.memory import free_megabytes
@@ -98,7 +98,7 @@ def forecast(run: Adaptation) -> Forecast:
     return continued(run, dim, larger, free)
 
 
-def _larger(run: Refinement, context: SolverContext, dim: int) -> Sequence[Work]:
+def _larger(run: Adaptation, context: SolverContext, dim: int) -> Sequence[Work]:
     """The work for a larger mesh, until two measurements agree (collective).
 
     None, if the last mesh took so long that its constant part does not matter.

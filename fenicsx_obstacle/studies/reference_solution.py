@@ -10,7 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.answers.adapt import Refinement
+from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.cloud import Cloud, Nearby, on_simplices
 from fenicsx_obstacle.answers.solver_context import SolverContext
@@ -160,7 +160,7 @@ Answers = Generator[tuple[Answer, float, float], None, None]  # with about the s
 
 def _refined(scene: Scene, comm: MPI.Comm) -> Answers:
     """Answers on meshes refined where the error is (collective)."""
-    refinement = Refinement(next(uniform_meshes(scene)), comm)
+    refinement = Adaptation(next(uniform_meshes(scene)), comm)
     with closing(refinement.meshes()) as meshes:
         for _, answer in meshes:
             yield answer, (1 + GROWTH / 2) * refinement.path[-1]["seconds"], GROWTH * answer.record["dofs"]

@@ -14,7 +14,6 @@ from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.hierarchy import nested
 from fenicsx_obstacle.errors import NotConverged
-from fenicsx_obstacle.estimation.norms import Distance
 from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.scenes import meshes
 from fenicsx_obstacle.scenes.scene import Scene
@@ -36,14 +35,12 @@ class Solves:
     def __init__(self, comm: MPI.Comm):
         self.comm = comm
         self.work: SolverContext | BodyContext | None = None
-        self._reference: Answer | None = None
-        self._distance: Distance | None = None
         self._last: tuple[Mapping[str, Any], Answer] | None = None
         self._speed: tuple[str, float] | None = None  # nodes that contact gained or lost, for a unit of this key
 
     def close(self) -> None:
         """Free what it holds (collective)."""
-        self._reference = self._distance = self._last = self._speed = None
+        self._last = self._speed = None
         if self.work is not None:
             self.work.close()
         self.work = None
@@ -60,7 +57,6 @@ class Solves:
         if self.work is None:
             self.work = self._context(scene)
         elif not self._serves(scene):
-            self._reference = self._distance = None
             if meshes.same(self.work.scene, scene):
                 near = self._near(values, scene)
                 self.work = self.work.renewed(scene)
@@ -103,14 +99,11 @@ class Solves:
     def to_reference(self, answer: Answer) -> dict[str, float]:
         """Distance to the solution of the variational inequality on the mesh of the last solve (collective)."""
         assert isinstance(self.work, SolverContext)
-        if self._reference is None:
-            self._reference = self.work.answer(replace(self.work.scene.options, method="vi"))
-            self._distance = Distance(self.work.problem)
-        assert self._distance is not None
-        u, p = answer.u.x.array - self._reference.u.x.array, self._reference.pressure.x.array
-        distances = {**self._distance.of_u(u), "pressure_max": largest(answer.level.comm, np.abs(p))}
+        reference, distance = self.work.inequality, self.work.distance
+        u, p = answer.u.x.array - reference.u.x.array, reference.pressure.x.array
+        distances = {**distance.of_u(u), "pressure_max": largest(answer.level.comm, np.abs(p))}
         if not answer.scene.model.thin:  # otherwise it is a force per length
-            distances["pressure_l2"] = self._distance.pressure(answer.pressure.x.array - p)
+            distances["pressure_l2"] = distance.pressure(answer.pressure.x.array - p)
         return distances
 
     def _serves(self, scene: Scene) -> bool:
