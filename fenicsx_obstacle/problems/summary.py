@@ -90,7 +90,9 @@ def _round_off(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     """About the round-off of the pressure, if it is large."""
     found, words = record.get("round_off", {}), []
     if (found.get("left") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
-        words.append(f"{found['left']:.1g} of the pressure, because u is large; subtract a constant from u and obstacle")
+        words.append(
+            f"{found['left']:.1g} of the pressure, because u is large; subtract a constant from u and obstacle"
+        )
     if (found.get("line") or 0.0) > PRESSURE_ROUNDOFF_SHOWN:
         words.append(
             "eps is very small: p was computed from the unknown u - obstacle; computed from the saved u and obstacle "

@@ -59,8 +59,8 @@ def explained(scene: Scene) -> list[tuple[str, list[str]]]:
     text = filled(
         "explain.txt", scene=scene, integrals=integrals(scene), terms=_terms(scene),
         without=dict.fromkeys(effect.key for effect in scene.effects if not _has_form(effect)), moving=_moving(scene),
-        equation=_equation(scene), sum_of=_sum, loads=lambda number: _loads(scene, number), components=_components, where=_where,
-        point=_point, part_place=part_place, free=_free(scene), elastic=scene.model.elastic.key.replace("_", " "),
+        equation=_equation(scene), sum_of=_sum, loads=lambda number: _loads(scene, number), components=_components,
+        where=_where, point=_point, part_place=part_place, free=_free(scene), elastic=scene.model.elastic.key.replace("_", " "),
         mesh=_mesh(scene), size=_size(scene), method_words=_method(scene), linear_solver=_linear_solver(scene),
         pressed=any(getattr(effect, "force", None) for effect in scene.effects),
         orders=_orders(scene), counts_nodes=not scene.model.radial and any(map(_counts_nodes, scene.report.values())),

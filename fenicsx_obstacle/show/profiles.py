@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.answers.answer import Answer
-from fenicsx_obstacle.answers.profiles import FORMULA, as_columns, as_csv, formulas_at, in_space, moments_of, profiles_of
+from fenicsx_obstacle.answers.profiles import (
+    FORMULA,
+    as_columns,
+    as_csv,
+    formulas_at,
+    in_space,
+    moments_of,
+    profiles_of,
+)
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, write_text
 from fenicsx_obstacle.problems.values import Profile
@@ -142,9 +150,7 @@ def _around(answer: Answer, profile: Profile) -> _Around:
     return _Around(u, p, fields.obstacles_at(points), fields.touches_at(points))
 
 
-def _drawn(
-    curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, around: _Around = _Around()
-) -> Any:
+def _drawn(curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: str, around: _Around = _Around()) -> Any:
     """u above and the pressure below, over the distance along the line; of bodies a panel for each component of u, and
     on the contact boundary gap and pressure, elsewhere the von Mises stress.
 
