@@ -111,7 +111,7 @@ def truths(scene: Scene) -> dict[str, float]:
              "report.bottom": min(bottom for _, bottom in tops)}  # fmt: skip
     bounded = exact.pressure is not None and scene.name != "cone"
     known["report.peak"] = max(peaks) if bounded else np.inf
-    contact = exact_contact(scene.model, exact, meshes.coarsest(scene, MPI.COMM_WORLD))
+    contact = exact_contact(scene.model, exact, meshes.build(scene, MPI.COMM_WORLD, 0))
     if scene.name not in NO_AREA:
         known["contact.area"] = contact["area"]
     one_side = (scene.model.lower is None) != (scene.model.upper is None)
