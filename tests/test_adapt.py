@@ -101,11 +101,12 @@ def test_yardstick_keeps_the_answer():
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", ("interval", "rectangle", "box"))
+@pytest.mark.parametrize("case", ("interval P1", "interval P2", "rectangle P1", "rectangle P2", "box P1"))
 @pytest.mark.usefixtures("matplotlib_draws")
-def test_picture_of_the_bound(tmp_path, shape):
+def test_picture_of_the_bound(tmp_path, case):
     """It shows where the bound comes from, and says how many cells carry half of it."""
-    answer = solve(membrane(mesh={"shape": shape, "cells": 4}, load=1), bound=True)
+    shape, element = case.split()
+    answer = solve(membrane(mesh={"shape": shape, "cells": 4}, load=1), bound=True, element=element)
     answer.save(tmp_path)
     _, said = report_answer(answer, tmp_path, picture=True)
     assert (tmp_path / "bound.png").stat().st_size > 10_000

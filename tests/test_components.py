@@ -11,7 +11,7 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.mesh.checks import components
 from fenicsx_obstacle.parallel import total
-from fenicsx_obstacle.scenes.meshes import coarsest
+from fenicsx_obstacle.scenes.meshes import build
 from tests.conftest import COMM
 from tests.helpers import Membrane, cut, grid, mesh_of
 
@@ -43,7 +43,7 @@ def union(*bodies, scale=1.0):
 
 
 def level(mesh):
-    return coarsest(Scene(mesh=mesh, tension=1), COMM)
+    return build(Scene(mesh=mesh, tension=1), COMM, 0)
 
 
 LEFT, RIGHT = grid(4, 4), grid(4, 4, (1, 0))

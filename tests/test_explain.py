@@ -53,6 +53,19 @@ def test_explained_unknowns_of_all_elements():
             assert float(told.split()[1]) == pytest.approx(context.problem.level.dofs, rel=0.1), changes
 
 
+@pytest.mark.parametrize(
+    ("scene", "line"),
+    [
+        ({"soft_obstacle": {"lower": 0, "stiffness": 5}, "load": -1},
+         "-div(tension grad u) + stiffness ((u - upper)^+ - (lower - u)^+) = load"),
+        ({"lower": -1, "upper": 1}, "p = (lower - u)^+ / eps - (u - upper)^+ / eps at the points of I (3.7), (3.8)"),
+        ({"upper": 1, "drift": [1, 0]}, "-div(tension grad u) + drift . grad u = p"),
+    ],
+)  # fmt: skip
+def test_signs(scene, line):
+    assert line in " ".join(explain(membrane(**scene)).split())
+
+
 def test_an_area_that_counts_nodes_says_so():
     """Each integral of the contact set, and no other formula: the text names the quantity that is more accurate."""
     body = Scene.read(DEMOS / "lift_off.toml")

@@ -98,6 +98,25 @@ def test_a_browser_shows_it(study_page, tmp_path):
     assert red.sum() > 1000
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [{}, {"load": "-20*(1 + t)", "time": {"end": 1, "steps": 2}}])
+def test_the_page_and_a_study_say_what_the_text_says(folder, scene):
+    """Warnings, steps of all times, and a tolerance that is not reached: they stood in the text alone."""
+    scene = membrane(**{"lower": -0.1, "load": -20, **scene}).change({"solve.eps": 0.1})
+    answer = solve(scene) if scene.time else solve(scene, tol=1e-3, budget="100 unknowns")
+    answer.save(folder / "out")
+    report_answer(answer, folder / "out", picture=False)
+    page = " ".join(" ".join(Page((folder / "out" / "report.html").read_text()).texts).split())
+    text = " ".join(answer.summary().split())
+    said = ["penetration is", *(["2 steps to t = 1", "in all"] if scene.time else ["IS NOT REACHED"])]
+    assert all(words in text and words in page for words in said), (text, page)
+    lines = []
+    report_study(Study(scene, {"effects.load": [-20, -40]}, {}), folder / "study", lines.append)
+    note = next(line for line in lines if "penetration is" in line)
+    assert note.startswith("effects.load = -20: warning:") and "further row" in note.replace("\n", " ")
+    assert "penetration is" in (folder / "study" / "report.html").read_text().partition("</table>")[2]
+
+
 @pytest.mark.variant
 @pytest.mark.slow
 def test_no_picture_is_better_than_an_earlier_one(folder):

@@ -460,6 +460,18 @@ def test_all_levels_are_seen(ball):
     assert sets(one.step for one in found if one.dofs == answer.record["dofs"]) == sets(answer.history)
 
 
+@pytest.mark.parametrize("cell", ["right", "crossed"])
+def test_no_contact_where_u_is_given_beyond_the_obstacle(cell):
+    """P2, contact at midpoints of edges: the vertices of the boundary were in contact, a mean over edges inside."""
+    scene = membrane(load=-40, lower=-0.05).change({"mesh.cells": 8, "mesh.diagonal": cell, "solve.element": "P2"})
+    arrays = gather(solve(scene).fields)
+    if arrays:
+        x, y, _ = arrays["points"].T
+        rim = np.minimum(np.minimum(x, 1 - x), np.minimum(y, 1 - y)) < 1e-9
+        assert not arrays["contact"][rim].any() and not arrays["pressure"][rim].any()
+        assert arrays["contact"][~rim].mean() > 0.8
+
+
 @pytest.mark.slow
 def test_an_animation_has_a_frame_for_each_step(ball, folder):
     """And one for the start; the shorter course rests at its end."""

@@ -10,7 +10,7 @@ from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.profiles import as_columns, profiles_of
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.profiles import _drawn, draw_rows
+from fenicsx_obstacle.show.profiles import _Around, _around, _drawn, draw_rows
 from fenicsx_obstacle.show.report import report_answer
 from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import as_csv
@@ -88,10 +88,29 @@ def test_round_off_is_not_magnified():
     """Along a side where u is 0, round-off of u, of its obstacle and of the pressure is drawn as 0."""
     noise = 1e-18 * np.random.default_rng(0).random(9)
     columns = {"s": np.linspace(0, 1, 9), "u": noise, "gap": noise[::-1], "p": 10 * noise}
-    page = _drawn({"": columns}, "u", "side", (1.0, 1.0))
+    around = _Around(1.0, 1.0, [noise[::-1] - noise], np.zeros(9, dtype=bool))
+    page = _drawn({"": columns}, "u", "side", around)
     above, below = page.axes
     assert all(not line.get_ydata().any() for axes in page.axes for line in axes.lines)
     assert not above.patches and not below.patches  # nothing is shaded as contact
+
+
+@pytest.mark.parametrize(
+    "sides", [{"upper": 0.4}, {"upper": 0.4, "lower": "-0.3 - x/4"}, {"upper": 0.4, "lower": -1e6}, {"upper": "1 + x"}]
+)
+def test_obstacles_are_those_of_the_scene(sides):
+    """Not u and its gap, which is that of the nearer one; far ones are left out. Contact ends between its nodes."""
+    profile = {"line": {"from": [0.0, 0.5], "to": [1.0, 0.5], "n": 65}}
+    answer = solve(membrane(load="60*where(x < 0.5, 1, -1)", profile=profile, **sides))
+    found = profiles_of(answer)["line"]
+    around = _around(answer, found)
+    above, _ = _drawn({"": as_columns(found)}, "u", "line", around).axes
+    x, dashed = found.points[:, 0], [line.get_ydata() for line in above.lines[1:]]
+    known = {0.4: 0.4 + 0 * x, "-0.3 - x/4": -0.3 - x / 4, "1 + x": 1 + x}
+    expected = [known[sides[side]] for side in ("lower", "upper") if sides.get(side) in known]
+    assert len(dashed) == len(expected) and np.allclose(dashed, expected)
+    pressed = np.abs(found.pressure) > 0
+    assert around.touching.any() == pressed.any() and not (around.touching & ~pressed).any()
 
 
 @pytest.mark.slow
