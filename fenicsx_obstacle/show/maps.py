@@ -62,7 +62,9 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
         if np.any(apart > 0):
             axis.tricontourf(shape, apart, levels=[0, np.inf], colors=[OUT_OF_CONTACT], zorder=1.1)
     elif patch.fields["contact"].any():
-        edges = rim(patch.cells)  # obstacles on the boundary: a wide line along it
+        edges = rim(patch.cells)  # obstacles on the boundary: a wide line where there is contact
+        pressed = patch.fields["contact"][edges] > 0
+        edges = edges[pressed.all(axis=1) if pressed.all(axis=1).any() else pressed.any(axis=1)]
         line = draw_edges(axis, patch.points, edges, cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
         line.set_array(patch.fields["pressure"][edges].mean(axis=1))
     ticks = MaxNLocator(8).tick_values(values.min(), values.max())

@@ -187,7 +187,8 @@ def _in_space(patch: Patch, u: str, p: str, kind: str) -> tuple[Any, str]:
         page.colorbar(scale, ax=axis, shrink=0.7, pad=0.1).set_label(fill(label, 42), fontsize=8.5)
         if kind == "solid":
             axis.set_title(f"cut open at y = {digits(cut_at(patch), np.ptp(patch.points), '.3g')}", fontsize=9)
-    _legend(page, patch, FREE)
+    if any(side in patch.fields for side in SIDES):
+        _legend(page, patch, FREE)
     return page, who
 
 
@@ -197,7 +198,9 @@ def _cut(pressure: str, patch: Patch) -> str:
 
 
 def _legend(page: Any, patch: Patch, free: str, obstacles: Sequence[str] = ()) -> None:
-    swatches = {"out of contact": {"facecolor": free, "edgecolor": "0.2", "linewidth": 0.5}}
+    inside = any(side in patch.fields for side in SIDES)  # not where obstacles are on the boundary
+    out = "out of contact" if inside else "no obstacle inside"
+    swatches = {out: {"facecolor": free, "edgecolor": "0.2", "linewidth": 0.5}}
     for side in obstacles:  # the lower one is seen through u
         swatches[f"{side} obstacle"] = (
             {"facecolor": BELOW} if side == "lower" else {"facecolor": OBSTACLE, "alpha": UPPER}

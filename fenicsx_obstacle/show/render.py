@@ -174,10 +174,10 @@ def _add(plotter: Any, grid: Any, view: View) -> None:
     edges = outside.extract_feature_edges(
         boundary_edges=True, feature_edges=view.kind == "body", manifold_edges=False, non_manifold_edges=False
     )
-    if levels or not pressed or view.kind == "body":
-        _draw_lines(plotter, edges, 0.0015, color=EDGE)
-    else:  # obstacles on the boundary alone
-        _draw_lines(plotter, edges, 0.01, **scale)
+    _draw_lines(plotter, edges, 0.0015, color=EDGE)
+    if pressed and not levels and view.kind == "graph":  # obstacles on the boundary: a wide line where there is contact
+        held = edges.threshold(0.5, scalars="contact", all_scalars=True)
+        _draw_lines(plotter, held.extract_geometry(), 0.01, **scale)
     for level in levels.values():
         line = body.extract_surface().contour(isosurfaces=[0.0], scalars=level)
         _draw_lines(plotter, line, 0.0035, color=INK)
