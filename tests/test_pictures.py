@@ -140,7 +140,7 @@ def test_the_pressure_is_the_one_that_was_computed(element, words):
 
 
 def test_obstacles_on_the_boundary_are_pressed_there():
-    """A wide line along the boundary, between nodes in contact, has the colours of the pressure; inside there is none."""
+    """A wide line along the boundary, where there is contact, has the colours of the pressure; inside there is none."""
     patch = on_rank_0(solve(Scene.read(DEMOS / "wall.toml"), cells=8))
     if COMM.rank != 0:
         return
