@@ -209,8 +209,10 @@ def _attempt(
 def _in_balance(outcome: Outcome, tolerance: float) -> bool:
     """Whether a state is in balance to the tolerance, not only to the round-off of w: then it is so with another
     reference r, since u has not moved."""
+    if not outcome.converged:
+        return False
     last = outcome.history[-1]
-    return outcome.converged and last.unbalanced <= tolerance * last.forces
+    return last.unbalanced <= tolerance * last.forces
 
 
 def joined(first: Outcome, second: Outcome) -> Outcome:
