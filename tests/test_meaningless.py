@@ -11,7 +11,7 @@ from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear import defaults
 from fenicsx_obstacle.discrete import drift as drift_checks
 from fenicsx_obstacle.parallel import largest, smallest
-from tests.conftest import COMM, slow_except
+from tests.conftest import COMM, membrane, slow_except
 from tests.hard.unsolvable import Unsolvable, attempt, problems
 from tests.helpers import Membrane
 from tests.test_components import APART, union
@@ -400,3 +400,17 @@ def test_a_direct_solver_goes_on():
     assert answer.record["krylov_iterations"] > answer.record["newton_iterations"]  # it was tried
     with defaults("penalty_", {"ksp_max_it": 3}), pytest.raises(NotConverged, match="linear system"):
         solve(scene, start="cold")
+
+
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+@pytest.mark.parametrize(("k", "lower"), [(1e-9, -0.09), (1e-10, -0.09), (1e-11, -1.0), (1e-11, None)])
+def test_weak_supports_determine_u(k, lower, method):
+    """A load whose sum is zero on a foundation that is 1e9 times weaker than the tension: the mean of u is 0.
+
+    Forces were in balance to 1e-10 at the start, a u that touches the obstacle: its mean was wrong by up to 5 ranges.
+    """
+    scene = membrane(load="sin(2*pi*x)", foundation=k, boundary=[], **({} if lower is None else {"lower": lower}))
+    answer = solve(scene, method=method, cells=8)
+    own = answer.u.x.array[: answer.level.owned]
+    low, high = smallest(COMM, own), largest(COMM, own)
+    assert abs(low + high) < 5e-3 * (high - low) and high - low == pytest.approx(0.165085, rel=1e-5)

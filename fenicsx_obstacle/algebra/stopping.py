@@ -210,7 +210,8 @@ class Stopping:
         rounded = ROUNDOFF_MARGIN * EPSILON * total(problem.comm, np.abs(problem.u))
         small = small_correction(problem)
         if left <= small + rounded:
-            self.uneven = self._is_uneven(moved, stiffness) and not small_in_parts(problem, moved)
+            apart = self._is_uneven(moved, stiffness) and not small_in_parts(problem, moved)
+            self.uneven = apart or self._moves_as_a_whole(elastic, small)
             return not self.uneven
         # a bound's line search may stand still: it goes by the norm of all forces, round-off of a stiff part included
         stands = self.exact_bounds and left > LIMIT / SMALL_CORRECTION * small
@@ -221,6 +222,25 @@ class Stopping:
         self._vain = self._vain + 1 if left > SMALLER * self._correction else 0
         self._correction = min(left, self._correction)
         return not self.problem.affine and self._vain >= IN_VAIN
+
+    def _moves_as_a_whole(self, elastic: np.ndarray, small: float) -> bool:
+        """Whether what is left of the forces moves a part that weak supports alone hold by more than a small correction
+        (collective).
+
+        Sums over nodes do not see that: a constant meets the supports alone, not the stiffness of each node. Where there
+        is contact, it holds the part, unless its forces are not more than what is left.
+        """
+        problem = self.problem
+        if problem.held is None or problem.parts is None:
+            return False
+        count, component = problem.parts
+        active, residual = self._unbalanced(elastic)
+        contact = np.where(problem.active_dofs(active != 0), np.abs(elastic), 0.0)
+        rounded = ROUNDOFF_MARGIN * EPSILON * self._stiffness() * np.abs(problem.u)
+        columns = np.array([np.bincount(component, values, count) for values in (residual, contact, rounded)])
+        left, pressing, noise = problem.comm.allreduce(columns)
+        left = np.abs(left)
+        return bool(np.any((pressing <= left / FAR) & (left > small * problem.held + noise)))
 
     def _is_uneven(self, moved: np.ndarray, stiffness: np.ndarray) -> bool:
         """Whether some |r_i|/A_ii is more than `UNEVEN` of w there and around (collective).

@@ -69,9 +69,11 @@ class System:
         at_rest: Whether it is no step in time. A step is held by the state before it.
         share: Of the force that balances a step in time, the part that is the contact force: 1, or 1/2 with inertia.
         floating: Whether only contact holds some part of the mesh.
-        parts: Number of connected parts, and that of each dof. Only needed with `borne` or `unheld`.
+        parts: Number of connected parts, and that of each dof. Only needed with `borne`, `unheld` or `held`.
         borne: For each part whether contact alone bears its load; None if there are none.
         unheld: For each part whether u is given nowhere, so that contact forces alone may determine it.
+        held: For each part where supports alone hold u, and F is affine, their stiffness: the force per unit of a
+            constant that is added to u; elsewhere infinite. None if there are none.
         loose: Of bodies, the rigid motions that only contact resists; None if there are none.
         checks: Of a state in balance: the reason why it is no solution, or None; for effects that need more.
         hint: What a solver that fails adds to its reason.
@@ -100,6 +102,7 @@ class System:
     parts: tuple[int, np.ndarray] | None = None
     borne: np.ndarray | None = None
     unheld: np.ndarray | None = None
+    held: np.ndarray | None = None
     loose: np.ndarray | None = None
     checks: Sequence[Check] = ()
     hint = ""

@@ -21,8 +21,8 @@ EPSILON = float(np.finfo(float).eps)
 
 
 def check_support(problem: MeshSystem) -> None:
-    """Check that each connected part of the mesh is supported, and note in `start`, `floating`, `borne` and
-    `unheld` of the problem what only contact supports (collective).
+    """Check that each connected part of the mesh is supported, and note in `start`, `floating`, `borne`,
+    `unheld` and `held` of the problem what only contact or supports hold (collective).
 
     With v = 1 on a connected component where u is given nowhere, (3.4) says that loads, supports and contact add up to
     0. A support whose answer to u = 1 is below the round-off of the stiffness holds nothing; then an obstacle must, and
@@ -35,7 +35,7 @@ def check_support(problem: MeshSystem) -> None:
         InputError: Since no u is in balance, or since round-off would decide which one is.
     """
     comm, level = problem.level.comm, problem.level
-    problem.start, problem.floating, problem.borne, problem.unheld = None, False, None, None
+    problem.start, problem.floating, problem.borne, problem.unheld, problem.held = None, False, None, None, None
     if level.shape is not None and total(comm, np.count_nonzero(problem.fixed)) > 0:
         return
     count, component = level.parts
@@ -77,6 +77,8 @@ def check_support(problem: MeshSystem) -> None:
     if problem.symmetric:  # if not, the load may be any where the rows of A have no sum
         unheld &= ~borne
     problem.borne, problem.unheld = (flags if flags.any() else None for flags in (borne, unheld))
+    if problem.affine and (loose & holds).any():
+        problem.held = np.where(loose & holds, held, np.inf)
     side = np.where(up & (~down | (net <= 0)), -1, 1)
     side[~(loose & (up | down) & (~holds | problem.constrained))] = 0
     if not side.any():
