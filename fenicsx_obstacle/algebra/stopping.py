@@ -227,8 +227,8 @@ class Stopping:
         """Whether what is left of the forces moves a part that weak supports alone hold by more than a small correction
         (collective).
 
-        Sums over nodes do not see that: a constant meets the supports alone, not the stiffness of each node. Where there
-        is contact, it holds the part, unless its forces are not more than what is left.
+        Sums over nodes do not see that: a constant meets the supports alone, not the stiffness of each node. Contact
+        holds a part, too, unless its forces are not more than what is left.
         """
         problem = self.problem
         if problem.held is None or problem.parts is None:
