@@ -105,7 +105,7 @@ def _name_unread(petsc: list[str]) -> None:
     """Print PETSc options that no solver uses."""
     names = [word[1:] for word in petsc if word[:1] == "-" and word[1:2].isalpha()]
     if names and _RANK == 0:
-        from fenicsx_obstacle.algebra.linear import unread
+        from fenicsx_obstacle.algebra.linear_solvers import unread
 
         if found := unread(names):
             click.echo(f"PETSc options that no solver uses: -{', -'.join(found)}; misspelled?", err=True)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, compare, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.discrete.contact_set import touching
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import catalogue

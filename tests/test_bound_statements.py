@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.discrete.contact_set import touching
 from fenicsx_obstacle.estimation.dirichlet_boundary import DirichletBoundary
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.estimation.rt1 import quadratics

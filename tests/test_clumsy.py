@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.parallel import on_root, write_text
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.show.report import report_answer

@@ -11,7 +11,7 @@ import pytest
 from mpi4py import MPI
 
 from fenicsx_obstacle import InputError, solve
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.stopping import TOLERANCE

@@ -9,7 +9,7 @@ from dolfinx import mesh as dmesh
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.contact import touching
+from fenicsx_obstacle.discrete.contact_set import touching
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM, DEMOS, membrane, slow_except

@@ -10,7 +10,7 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, contact_pressure, nodal_rule, penalty, releases
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.forms.penalty import penalty_energy
 from fenicsx_obstacle.parallel import largest, total
 from tests.conftest import COMM, DEMOS

@@ -10,7 +10,7 @@ import ufl
 
 from fenicsx_obstacle import NotConverged, ObstacleProblem, Scene, solve
 from fenicsx_obstacle.algebra import newton
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.algebra.nested import begin_from
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import CYCLING

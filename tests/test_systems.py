@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from fenicsx_obstacle import InputError, solve_system
 from fenicsx_obstacle.algebra.data_scales import determined, stiffness_of
-from fenicsx_obstacle.algebra.linear import Collapsed, attempt, check_diagonal
+from fenicsx_obstacle.algebra.linear_solvers import Collapsed, attempt, check_diagonal
 from fenicsx_obstacle.algebra.solve_system import MatrixSystem
 from tests.conftest import COMM
 from tests.helpers import run_python

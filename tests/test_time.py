@@ -9,7 +9,7 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenicsx_obstacle import Answer, InputError, NotConverged, Scene, solve
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.answers.data_within_steps import _Search
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.answers.time_history import TimeHistory, from_arrays

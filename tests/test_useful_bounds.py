@@ -10,8 +10,8 @@ from dolfinx import fem
 
 from fenicsx_obstacle import Answer, Scene, compare, polynomials, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
+from fenicsx_obstacle.discrete.contact_set import touching
 from fenicsx_obstacle.estimation.bound import Bound
-from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.oscillation import _energies, poincare
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import add_ghosts

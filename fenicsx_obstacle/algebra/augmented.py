@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.newton import joined, penalty_pressure, soft_eps, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import largest
 

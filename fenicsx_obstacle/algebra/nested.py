@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.algebra.methods import Method
-from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.relaxation import relax
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import ON_THE_WAY, TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.errors import NotConverged
 
 _log = logging.getLogger(__name__)

@@ -15,11 +15,11 @@ import numpy as np
 
 from fenicsx_obstacle.algebra import releases
 from fenicsx_obstacle.algebra.fields import stopping_of
-from fenicsx_obstacle.algebra.linear import user_has_set
-from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.linear_solvers import user_has_set
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.algebra.stopping import CYCLING, TOLERANCE, TOO_MANY, StepMonitor
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.parallel import largest
 
 NEWTON = {

@@ -17,7 +17,7 @@ from fenicsx_obstacle.algebra.data_scales import (
     range_of_data,
     stiffness_of,
 )
-from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, LARGEST, SADDLE, attempt, defaults, direct_first
+from fenicsx_obstacle.algebra.linear_solvers import DIRECT, GENERAL, LARGEST, SADDLE, attempt, defaults, direct_first
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix, sums_nowhere_negative
 from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE, System
 from fenicsx_obstacle.parallel import largest, smallest, total

@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import determined, stiffness_of
 from fenicsx_obstacle.algebra.inexact_newton import Inexact
-from fenicsx_obstacle.algebra.linear import (
+from fenicsx_obstacle.algebra.linear_solvers import (
     COARSEST,
     DIRECT,
     GENERAL,
@@ -27,10 +27,10 @@ from fenicsx_obstacle.algebra.linear import (
     direct_first,
     user_has_set,
 )
-from fenicsx_obstacle.algebra.multigrid import HeldRows, KeptLevels, Multigrid, OnInactive
 from fenicsx_obstacle.algebra.plausibility import violation
 from fenicsx_obstacle.algebra.stopping import MEANINGLESS, ON_THE_WAY, Step, Stopping, in_words
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.truncated_multigrid import HeldRows, KeptLevels, Multigrid, OnInactive
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import total
 

@@ -9,11 +9,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.fields import stopping_of
-from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.newton import NEWTON, PATIENCE, joined, settled, soft_eps, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.errors import InputError
 
 # without descent PETSc's line search fails, or takes round-off for a minimum of its merit function

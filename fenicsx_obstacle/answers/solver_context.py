@@ -14,12 +14,12 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import garbage
-from fenicsx_obstacle.algebra.multigrid import Multigrid
 from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import StepMonitor
 from fenicsx_obstacle.algebra.system import System
+from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.profiles import check_profiles

@@ -15,12 +15,12 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
 from fenicsx_obstacle.algebra.stopping import may_be_left, round_off, small_correction
-from fenicsx_obstacle.check.again import other_units, reversed_rows, solved
 from fenicsx_obstacle.check.finding import Finding, Reason, Verification, violated
+from fenicsx_obstacle.check.other_units import other_units, reversed_rows, solved
 from fenicsx_obstacle.check.reference import FreeRows, distance, free_rows, is_small, positive_factors
+from fenicsx_obstacle.discrete.contact_set import Contact, contact_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.estimation.contact import Contact, contact_of
 from fenicsx_obstacle.parallel import largest, on_root, smallest, total
 
 ROUNDED = ROUNDOFF_MARGIN * EPSILON  # of the sum of the absolute values of what is added

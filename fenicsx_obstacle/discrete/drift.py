@@ -22,7 +22,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.algebra.linear import LARGEST
+from fenicsx_obstacle.algebra.linear_solvers import LARGEST
 from fenicsx_obstacle.algebra.plausibility import moved_by, solved
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.data.data import Data

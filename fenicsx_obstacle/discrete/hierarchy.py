@@ -12,7 +12,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.coarse import SMALLEST, algebraic_levels, below
 from fenicsx_obstacle.algebra.coarsening import BOUNDARY, FIXED, FREE, Nodes, first_keys
 from fenicsx_obstacle.algebra.kernels import kernels
-from fenicsx_obstacle.algebra.linear import LARGEST
+from fenicsx_obstacle.algebra.linear_solvers import LARGEST
 from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.releases import AMG as PRECONDITIONER

@@ -34,10 +34,10 @@ from typing import Any
 import numpy as np
 from dolfinx import fem
 
+from fenicsx_obstacle.discrete.contact_set import touching
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.applicability import check_bound_exists
 from fenicsx_obstacle.estimation.certification import Hypotheses
-from fenicsx_obstacle.estimation.contact import touching
 from fenicsx_obstacle.estimation.element import Element, Terms
 from fenicsx_obstacle.estimation.element_p1 import ElementP1
 from fenicsx_obstacle.estimation.element_p2 import ElementP2

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.linear import DIRECT, GENERAL, INEXACT, LARGEST, attempt, defaults
-from fenicsx_obstacle.algebra.multigrid import Multigrid
+from fenicsx_obstacle.algebra.linear_solvers import DIRECT, GENERAL, INEXACT, LARGEST, attempt, defaults
+from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
 

@@ -18,7 +18,7 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from fenicsx_obstacle import garbage, releases
-from fenicsx_obstacle.algebra.linear import overriding, unread
+from fenicsx_obstacle.algebra.linear_solvers import overriding, unread
 from fenicsx_obstacle.algebra.nested import Levels
 from fenicsx_obstacle.algebra.newton import diagonal_of
 from fenicsx_obstacle.algebra.options import SolverOptions
@@ -67,8 +67,8 @@ from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.check.finding import Verification
+    from fenicsx_obstacle.discrete.contact_set import Contact
     from fenicsx_obstacle.estimation.bound import Estimator
-    from fenicsx_obstacle.estimation.contact import Contact
     from fenicsx_obstacle.problems.components import ComponentSolution, ComponentSystem
 
 Monitor = Callable[[int, Step], None]

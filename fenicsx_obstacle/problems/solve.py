@@ -10,8 +10,8 @@ from fenicsx_obstacle.algebra.nested import Levels, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
+from fenicsx_obstacle.discrete.contact_set import Contact, contact_of
 from fenicsx_obstacle.discrete.problem import Problem
-from fenicsx_obstacle.estimation.contact import Contact, contact_of
 from fenicsx_obstacle.fields.scalar import Fields
 
 

@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import connected_components
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.data.fields import check_real, foreign
+from fenicsx_obstacle.discrete.contact_set import Contact
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.vector_problem import VectorProblem
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.estimation.contact import Contact
 from fenicsx_obstacle.fields.contact_table import ContactTable
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.fields.vector import VectorFields

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.errors import ObstacleError
 from fenicsx_obstacle.parallel import abort_on_uncaught_errors

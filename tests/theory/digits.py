@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.algebra.linear import DIRECT, defaults
+from fenicsx_obstacle.algebra.linear_solvers import DIRECT, defaults
 from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem

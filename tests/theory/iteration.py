@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle.algebra.linear import defaults
+from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.algebra.newton import solve_penalty
 from fenicsx_obstacle.algebra.solve_system import MatrixSystem
 from fenicsx_obstacle.algebra.stopping import Step

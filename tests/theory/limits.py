@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenicsx_obstacle.algebra.linear import DIRECT, defaults
+from fenicsx_obstacle.algebra.linear_solvers import DIRECT, defaults
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.norms import Distance

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra import releases
-from fenicsx_obstacle.algebra.multigrid import SMOOTHER
+from fenicsx_obstacle.algebra.truncated_multigrid import SMOOTHER
 from fenicsx_obstacle.parallel import total
 
 TINY = float(np.finfo(float).tiny)

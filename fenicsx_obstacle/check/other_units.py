@@ -13,7 +13,7 @@ from mpi4py import MPI
 from scipy.sparse.linalg import SuperLU
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
-from fenicsx_obstacle.algebra.linear import DIRECT, defaults
+from fenicsx_obstacle.algebra.linear_solvers import DIRECT, defaults
 from fenicsx_obstacle.algebra.newton import penalty_pressure, solve_penalty
 from fenicsx_obstacle.algebra.snes import Outcome
 from fenicsx_obstacle.algebra.solve_system import MatrixSystem, matrix_of
