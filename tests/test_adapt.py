@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import Answer, InputError, Scene, solve
-from fenicsx_obstacle.answers.adapt import Budget
+from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.scenes import catalogue
 from fenicsx_obstacle.show.report import report_answer
 from tests.conftest import COMM, membrane, slow_except

@@ -16,8 +16,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.answers.adapt import BULK, STALLED, Adaptation, Budget, Estimate
+from fenicsx_obstacle.answers.adapt import BULK, STALLED, Adaptation, Estimate
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.jumps import BETWEEN, cells_with_jumps, hidden_contact, unresolved
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.discrete.problem import Problem

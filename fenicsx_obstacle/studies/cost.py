@@ -20,8 +20,9 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.algebra.penalty_parameter import penalty_parameter
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
-from fenicsx_obstacle.answers.adapt import Adaptation, Budget
+from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.answer import Answer
+from fenicsx_obstacle.answers.budget import Budget
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import ANSWER, content_of

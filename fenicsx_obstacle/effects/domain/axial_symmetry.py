@@ -16,7 +16,7 @@ class AxialSymmetry(Effect):
 
     It is what integrals over the body become, divided by 2 pi. For elements of degree 1 the weight is x at the middle
     of each cell, so that nodes on the axis have an area of contact too; a side on the axis is free by itself. Areas and
-    forces are per radian.
+    forces are per radian. The weight itself is part of `Data.dx` and the other measures (`data/measures.py`).
     """
 
     value: None = None  # type: ignore[assignment]
