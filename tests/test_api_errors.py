@@ -279,7 +279,7 @@ WITHOUT_SOLUTION = {
 @pytest.mark.ranks
 @pytest.mark.parametrize("seed", WITHOUT_SOLUTION.values(), ids=WITHOUT_SOLUTION)
 def test_what_has_no_solution_ends_on_all_ranks(seed):
-    assert judged(OwnForm(seed, COMM)).word == "none"
+    assert judged(OwnForm(seed, COMM))[0] == "none"
 
 
 @pytest.mark.parametrize("space", SPACES)

@@ -368,8 +368,7 @@ def in_words(reason: int) -> str:
         PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE: "a linear system could not be solved",
         PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH: "the line search found no descent",
         releases.NOT_A_NUMBER: "the residual became infinite or not a number",
-        MEANINGLESS: "round-off determines u: its round-off causes forces above 1 % of those of the data; u is "
-        "not supported, "
+        MEANINGLESS: "round-off determines u: its forces are no small part of those of the data; u is not supported, "
         "or the equation is nearly singular",
         CYCLING: "the active sets repeat",
     }

@@ -174,7 +174,7 @@ class OwnForm:
         """A load whose work on a bump of the drawn height is that of the form."""
         drawn, v = self.drawn, self.v
         shapes = {"constant": lambda x: 1.0 + 0 * x[0], "wave": lambda x: np.sin(2 * np.pi * x[0]),
-                  "half": lambda x: np.where(x[0] < 0.5, 1.0, -0.2)}  # fmt: skip
+                  "half": lambda x: np.where(x[0] < 0.5 - 1e-9, 1.0, -0.2)}  # fmt: skip
         f = fem.Function(self.V)
         f.interpolate(shapes[drawn.one(tuple(shapes))])
         self.u.x.array[:] = self.height * self.bump.x.array
