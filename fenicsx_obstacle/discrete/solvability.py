@@ -9,7 +9,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenicsx_obstacle.algebra.newton import diagonal_of
-from fenicsx_obstacle.algebra.system import LIMIT, PRESCRIBE
+from fenicsx_obstacle.algebra.plausibility import SUM
+from fenicsx_obstacle.algebra.system import PRESCRIBE
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
 from fenicsx_obstacle.effects.effect import is_support
 from fenicsx_obstacle.errors import InputError
@@ -17,7 +18,6 @@ from fenicsx_obstacle.parallel import largest, smallest, total
 
 Sums: TypeAlias = Callable[[np.ndarray], np.ndarray]  # values at owned dofs, summed over each component
 ROUND_OFF = 1e-12  # of the sum of its parts: what cancels
-EPSILON = float(np.finfo(float).eps)
 
 
 def check_support(problem: MeshSystem) -> None:
@@ -56,7 +56,7 @@ def check_support(problem: MeshSystem) -> None:
     stiffness, forces = sums(diagonal_of(problem)), sums(np.abs(at_rest))
     if problem.affine:  # any shift is as good: one whose forces are not lost in the round-off of the load
         shift = float(np.divide(forces, stiffness, out=np.zeros(count), where=loose & (stiffness > 0)).max()) or shift
-    scale = stiffness * (EPSILON / LIMIT if problem.affine else ROUND_OFF)
+    scale = stiffness * (SUM if problem.affine else ROUND_OFF)
     held = sums(problem.law.forces_at(rest + shift) - at_rest) / shift
     holds = held > scale
     net = -sums(at_rest)  # the load, and what supports answer to `rest`

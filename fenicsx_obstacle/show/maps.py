@@ -64,7 +64,8 @@ def draw_map(axis: Any, patch: Patch, scale: Any, u: str) -> None:
     elif patch.fields["contact"].any():
         edges = rim(patch.cells)  # obstacles on the boundary: a wide line where there is contact
         pressed = patch.fields["contact"][edges] > 0
-        edges = edges[pressed.all(axis=1) if pressed.all(axis=1).any() else pressed.any(axis=1)]
+        within = pressed.all(axis=1)
+        edges = edges[within if within.any() else pressed.any(axis=1)]  # contact of a single node has no edge within
         line = draw_edges(axis, patch.points, edges, cmap=scale.cmap, norm=scale.norm, linewidths=5, zorder=3.5)
         line.set_array(patch.fields["pressure"][edges].mean(axis=1))
     ticks = MaxNLocator(8).tick_values(values.min(), values.max())

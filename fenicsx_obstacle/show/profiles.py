@@ -179,9 +179,7 @@ def _drawn(curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: s
             if key == "u" and not several:
                 _obstacles(axes, s, values, around)
             if shaded:
-                p = np.nan_to_num(_column(columns, "p"))
-                touching = p > TOUCHING * max(around.p, p.max(initial=0.0)) if of_body else around.touching
-                _shade(axes, s, touching)
+                _shade(axes, s, _pressed(columns, around) if of_body else around.touching)
         axes.set_ylabel(labels.get(key, f"{key}\n{fill(plain(u), 24)}"))
         axes.grid(True, color=GRID)
         axes.margins(x=0)
@@ -194,6 +192,12 @@ def _drawn(curves: Mapping[str, Mapping[str, Sequence[float]]], u: str, title: s
 
 def _column(columns: Mapping[str, Sequence[float]], key: str) -> np.ndarray:
     return np.array(columns[key], dtype=float)
+
+
+def _pressed(columns: Mapping[str, Sequence[float]], around: _Around) -> np.ndarray:
+    """Where a body is pressed along the line."""
+    p = np.nan_to_num(_column(columns, "p"))
+    return p > TOUCHING * max(around.p, p.max(initial=0.0))
 
 
 def _obstacles(axes: Any, s: np.ndarray, u: np.ndarray, around: _Around) -> None:
