@@ -22,7 +22,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.answers.poisson_baseline import REPETITIONS, poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 from fenicsx_obstacle.estimation.bound import Estimator
 from fenicsx_obstacle.scenes import catalogue
 

@@ -17,7 +17,7 @@ from ladder import show
 
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 
 BALL = "r^2/6 + 0.6^3/(3*r) - 0.6^2/2"
 NSV = "max(r^2 - 0.49, 0)^2"

@@ -22,7 +22,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from fenicsx_obstacle import ObstacleError, Scene, solve
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 from fenicsx_obstacle.scenes import catalogue
 
 A_DISK = 0.5777150035509267  # contact radius of `disk_flat`

@@ -30,7 +30,7 @@ from petsc4py import PETSc
 from fenicsx_obstacle import NotConverged, Scene
 from fenicsx_obstacle.answers.poisson_baseline import poisson_seconds
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 from fenicsx_obstacle.mesh import levels
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import meshes

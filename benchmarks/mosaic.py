@@ -12,8 +12,8 @@ import numpy as np
 from fenicsx_obstacle import InputError, NotConverged, checkout
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.show.boundary import Patch, patch_of
 from fenicsx_obstacle.show.figures import figure
+from fenicsx_obstacle.show.free_boundary import Patch, patch_of
 from fenicsx_obstacle.show.maps import draw_domain, triangles
 
 checkout.add_tests("the mosaic")

@@ -27,8 +27,8 @@ from PIL import Image
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import BLUE, COLOURS, INK, MARKERS, VERMILION, figure
+from fenicsx_obstacle.show.free_boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_domain, draw_lines, triangles
 from fenicsx_obstacle.show.newton import animate_newton
 from fenicsx_obstacle.show.tables import duration

@@ -15,7 +15,7 @@ from ladder import show
 from mpi4py import MPI
 
 from fenicsx_obstacle import ObstacleError, Scene, solve
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 from fenicsx_obstacle.scenes import catalogue
 
 PLANE = ("ball", "biactive", "biactive_power", "cone", "disk_flat", "disk_mu_jump", "halfplane", "nsv", "ring_wedge",

@@ -22,7 +22,7 @@ from mpi4py import MPI
 from fenicsx_obstacle import Scene
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.answers.uncertainty import with_uncertainties
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 from fenicsx_obstacle.effects.domain.load import Load
 from fenicsx_obstacle.estimation.exact_contact import exact_contact
 from fenicsx_obstacle.estimation.quadrature import rule

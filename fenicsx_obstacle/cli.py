@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fenicsx_obstacle.arguments import CHANGES, Place, along_text, interval, named, options, typed, varied
+from fenicsx_obstacle.cli_options import CHANGES, Place, along_text, interval, named, options, typed, varied
 from fenicsx_obstacle.console import STARTED, check_places, progress, rows_of, tell, tolerance_status, write_json
 from fenicsx_obstacle.errors import WRONG, InputError
 

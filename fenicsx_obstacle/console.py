@@ -110,11 +110,12 @@ def tell(text: str) -> None:
 
 def check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:
     """Reject files and folders that cannot be written, before anything is computed (collective)."""
-    from fenicsx_obstacle import parallel
+    from fenicsx_obstacle.parallel import on_root
+    from fenicsx_obstacle.safe_writing import check_writable
 
     given = {"--json": None if json_file == "-" else json_file, "--latex": latex}
     files = {option: Path(file) for option, file in given.items() if file is not None}
-    parallel.on_root(_ranks(), parallel.check_places, folder, files)
+    on_root(_ranks(), check_writable, folder, files)
 
 
 def rows_of(
@@ -141,7 +142,8 @@ def rows_of(
 
 def write_json(file: str, records: Sequence[Any]) -> None:
     """One object in each line of a file; - is standard output (collective)."""
-    from fenicsx_obstacle.parallel import on_root, write_lines
+    from fenicsx_obstacle.parallel import on_root
+    from fenicsx_obstacle.safe_writing import write_lines
 
     if file == "-":
         tell("\n".join(json.dumps(dict(record)) for record in records))

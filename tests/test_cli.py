@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import InputError, releases
-from fenicsx_obstacle.arguments import values_of
+from fenicsx_obstacle.cli_options import values_of
 from fenicsx_obstacle.launcher import mpirun
 from tests.conftest import CLEAN, DEMOS, slow_except
 from tests.helpers import inside, run, run_python

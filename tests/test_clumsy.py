@@ -12,7 +12,8 @@ import pytest
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear_solvers import defaults
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.safe_writing import write_text
 from fenicsx_obstacle.scenes.catalogue import changed
 from fenicsx_obstacle.show.report import report_answer
 from tests.cli.faults.kill import _session

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from fenicsx_obstacle import InputError, NotConverged, Scene, solve
 from fenicsx_obstacle.algebra.linear_solvers import defaults
-from fenicsx_obstacle.discrete import drift as drift_checks
+from fenicsx_obstacle.discrete import residence_time as drift_checks
 from fenicsx_obstacle.parallel import largest, smallest
 from tests.conftest import COMM, membrane, slow_except
 from tests.hard.unsolvable import Unsolvable, attempt, problems

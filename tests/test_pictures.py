@@ -12,8 +12,8 @@ from PIL import Image
 from fenicsx_obstacle import InputError, Scene, solve
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.show import render
-from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
 from fenicsx_obstacle.show.figures import blank, figure
+from fenicsx_obstacle.show.free_boundary import LEVELS, Patch, free_boundary, patch_of, rim, zero
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, pressures
 from fenicsx_obstacle.show.newton import animate_newton, iterates
 from fenicsx_obstacle.show.space import draw_views

@@ -11,7 +11,7 @@ import pytest
 from fenicsx_obstacle import InputError, Scene
 from fenicsx_obstacle.__main__ import _run
 from fenicsx_obstacle.cli import commands
-from fenicsx_obstacle.parallel import write_text
+from fenicsx_obstacle.safe_writing import write_text
 from fenicsx_obstacle.studies import rows as rows_module
 from fenicsx_obstacle.studies.convergence import Study
 from fenicsx_obstacle.studies.rows import RowStore, row_key

@@ -21,7 +21,7 @@ from fenicsx_obstacle.io import folder as folder_module
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.parallel import gathered, on_root, total
-from fenicsx_obstacle.show.boundary import free_boundary, patch_of
+from fenicsx_obstacle.show.free_boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.report import near_free_boundary, write_free_boundary
 from tests.conftest import COMM, DEMOS, as_version_02, membrane, slow_except
 from tests.helpers import inside, run_python

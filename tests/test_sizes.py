@@ -6,7 +6,7 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import Scene, Solution, Table, solve
 from fenicsx_obstacle.io.folder import gather
-from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of, rim, with_levels, zero
+from fenicsx_obstacle.show.free_boundary import Patch, free_boundary, patch_of, rim, with_levels, zero
 from tests.conftest import COMM
 
 NODES = [46_342, 65_537, 100_000]

@@ -20,7 +20,7 @@ from fenicsx_obstacle.console import _PrintableText
 from fenicsx_obstacle.data.measured.read import read
 from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.mesh import meshing
-from fenicsx_obstacle.parallel import replaced, write_text
+from fenicsx_obstacle.safe_writing import replaced, write_text
 from fenicsx_obstacle.show import render
 from tests.conftest import CLEAN, slow_except
 from tests.helpers import LAUNCHER, run, run_python

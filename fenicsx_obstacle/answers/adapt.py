@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
+from fenicsx_obstacle.answers.guaranteed_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext, close
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.memory import fits

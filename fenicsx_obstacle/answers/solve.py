@@ -11,7 +11,7 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.adapt import Adaptation
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.budget import Budget
-from fenicsx_obstacle.answers.linear_outputs import with_guaranteed_outputs
+from fenicsx_obstacle.answers.guaranteed_outputs import with_guaranteed_outputs
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.catalogue import SCENE, changed

@@ -19,7 +19,8 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.mesh.levels import Level
-from fenicsx_obstacle.parallel import agree, gathered, largest, on_root, replaced
+from fenicsx_obstacle.parallel import agree, gathered, largest, on_root
+from fenicsx_obstacle.safe_writing import replaced
 
 NAME = "checkpoint.h5"
 NEAR = 1e-6  # of h: how far a node may be from where it was

@@ -22,8 +22,8 @@ from fenicsx_obstacle.answers.steps import Steps, read_checkpoint, write_checkpo
 from fenicsx_obstacle.answers.time_history import Course, Row, at_time
 from fenicsx_obstacle.data.admissible import giver, worst
 from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, NO_STEP, TimeDiscretization
-from fenicsx_obstacle.discrete.drift import check_drift_in_time
 from fenicsx_obstacle.discrete.problem import Problem
+from fenicsx_obstacle.discrete.residence_time import check_drift_in_time
 from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.io.folder import frame_of
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total

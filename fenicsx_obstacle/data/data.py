@@ -21,7 +21,7 @@ from fenicsx_obstacle.data.fields import Cellwise, array_of
 from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.data.samples import Samples
 from fenicsx_obstacle.data.time_discretization import Moment, Motion
-from fenicsx_obstacle.effects.field import Field, Names, Rows
+from fenicsx_obstacle.effects.field import Field, Rows
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.cells import cell_volumes
@@ -196,7 +196,9 @@ class Data(Samples):
         key = next(effect.key for effect in self.model.effects if effect.role == "radial weight")
         if self.level.mesh.geometry.dim > 2:
             raise InputError(f"{self.model.source}: [effects] {key} is for intervals and plane meshes")
-        return self.cellwise(_Radius(f"{self.model.source}: [effects] {key}, radius"), positive=True)
+        from fenicsx_obstacle.effects.domain.axial_symmetry import Radius  # only with axial symmetry
+
+        return self.cellwise(Radius(f"{self.model.source}: [effects] {key}, radius"), positive=True)
 
     @cached_property
     def dI(self) -> Any:
@@ -470,15 +472,3 @@ class Data(Samples):
                 raise InputError(f"{field}: {what} at {self.place(found[1])}")
         function.x.scatter_forward()
         self.refuse_infinite(function, field)
-
-
-class _Radius(Field):
-    """x, as a datum."""
-
-    text = "x"
-
-    def __init__(self, source: str):
-        self.source = source
-
-    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
-        return x[0]

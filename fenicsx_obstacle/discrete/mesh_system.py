@@ -33,7 +33,7 @@ class MeshSystem(System):
         level: The mesh and V.
         law: The forms.
         vector_valued: Whether u has several components.
-        drift: The `discrete.drift.Drift` of a model that has one, otherwise None.
+        drift: The `discrete.residence_time.Drift` of a model that has one, otherwise None.
     """
 
     data: Data

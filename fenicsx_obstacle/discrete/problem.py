@@ -80,7 +80,7 @@ class Problem(MeshSystem):
             hint = HINT
             checks.append(torn)
         if any(effect.role == "drift" for effect in self.model.effects):
-            from fenicsx_obstacle.discrete.drift import Drift, trapped  # only where a model has drift
+            from fenicsx_obstacle.discrete.residence_time import Drift, trapped  # only where a model has drift
 
             self.drift = Drift.of(self.data)
             checks.append(trapped)

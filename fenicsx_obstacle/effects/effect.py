@@ -222,18 +222,14 @@ def residual(effects: Sequence[Effect], u: Any, v: Any, data: Sampler) -> ufl.Fo
     """a(u, v) - f(v), the sum over the effects."""
     drift = next((effect for effect in effects if effect.role == "drift"), None)
     elastic = next((effect for effect in effects if isinstance(effect, Elastic)), None)
-    upwinded = v if drift is None or elastic is None else _upwinded(v, drift, elastic, data)
-    forms = (effect.terms(u, upwinded if effect.role in _UPWINDED else v, data) for effect in effects)
+    along = v
+    if drift is not None and elastic is not None:
+        from fenicsx_obstacle.effects.upwinding import upwinded  # only where there is drift
+
+        b, tension = data.field(drift.value), elastic.tension_at(None, data)  # type: ignore[arg-type]
+        along = upwinded(v, b, tension, data.cell_size)
+    forms = (effect.terms(u, along if effect.role in _UPWINDED else v, data) for effect in effects)
     return sum(form for form in forms if form is not None)
-
-
-def _upwinded(v: Any, drift: Effect, elastic: Elastic, data: Sampler) -> Any:
-    """Test functions v + tau b . grad v with tau = max(0, |b| h/2 - tension)/|b|^2 (SUPG); v where b = 0."""
-    b, tension = data.field(drift.value), elastic.tension_at(None, data)  # type: ignore[arg-type]
-    squared = ufl.inner(b, b)
-    along = ufl.inner(tension * b, b) / squared if tension.ufl_shape else tension
-    excess = ufl.max_value(ufl.sqrt(squared) * data.cell_size / 2 - along, 0.0)
-    return v + ufl.conditional(ufl.gt(squared, 0.0), excess / squared, 0.0) * ufl.inner(b, ufl.grad(v))
 
 
 def is_support(effect: Effect) -> bool:

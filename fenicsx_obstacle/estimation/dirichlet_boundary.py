@@ -1,8 +1,4 @@
-"""The part of the boundary where u is given: Friedrichs' constant, and bounds of the displacement by a load.
-
-Friedrichs' constant: ||v||_0 <= c ||grad v||_0 for functions that are 0 where u is given. And the reach of a load: how
-far it can move u.
-"""
+"""The part of the boundary where u is given, and the reach of a load: how far it can move u."""
 
 from __future__ import annotations
 
@@ -11,11 +7,8 @@ from math import pi
 
 import numpy as np
 
-from fenicsx_obstacle.estimation.friedrichs import friedrichs_by_paths
 from fenicsx_obstacle.estimation.simplices import Simplices
 from fenicsx_obstacle.parallel import largest, smallest, total
-
-J01 = 2.404825557695773  # first zero of the Bessel function J_0
 
 
 @dataclass(frozen=True)
@@ -28,8 +21,6 @@ class DirichletBoundary:
         everywhere: Whether u is given on the whole boundary.
         faces: If the domain is the box, on how many of its two faces across each axis u is given; otherwise 0.
         radii: Least and largest distance from the axis where that is the weight of integrals, otherwise None.
-        by_paths: A Friedrichs' constant without the weight of axial symmetry, where `everywhere` and `faces` give none:
-            that of `friedrichs_by_paths`.
     """
 
     sides: np.ndarray
@@ -37,29 +28,6 @@ class DirichletBoundary:
     everywhere: bool
     faces: np.ndarray
     radii: tuple[float, float] | None = None
-    by_paths: float = np.inf
-
-    def friedrichs(self) -> float:
-        """Friedrichs' constant, (E8), infinite where none is known.
-
-        Of a box by its first eigenvalue, a side after the other; of any other domain held all around by that of the
-        box around it; otherwise `by_paths`. With the weight of axial symmetry, which is between two numbers, along the
-        radius the root of their ratio is a factor; and held outside it is that of a disk, whose first eigenvalue is
-        (j_01/R)^2, if the domain or the box begins at the axis, or if functions that are 0 all around can be continued
-        there.
-        """
-        wave = (2 if self.everywhere else self.faces) * pi / (2 * self.sides)
-        if self.radii is not None:
-            inner, outer = self.radii
-            wave[0] *= np.sqrt(max(inner, 0.0) / outer)
-            if self.everywhere or (inner == 0 and self.faces[0] > 0):
-                wave[0] = max(wave[0], J01 / outer)
-        if np.any(wave > 0):
-            return 1 / float(np.linalg.norm(wave))
-        if self.radii is None:
-            return self.by_paths
-        inner, outer = self.radii
-        return self.by_paths * float(np.sqrt(outer / inner)) if inner > 0 else np.inf
 
     def reach(self, load: float, least_tension: float) -> float:
         """A bound of w >= 0, w = 0 where u is given, free elsewhere, -div(mu grad w) = f with 0 <= f <= load, (E15).
@@ -124,6 +92,4 @@ def dirichlet_boundary(simplices: Simplices) -> DirichletBoundary:
     radii = None
     if radius is not None:
         radii = smallest(comm, radius), largest(comm, radius)
-    known = everywhere or faces.any()
-    by_paths = np.inf if known else friedrichs_by_paths(level, simplices.held)
-    return DirichletBoundary(sides, area, bool(everywhere), faces, radii, by_paths)
+    return DirichletBoundary(sides, area, bool(everywhere), faces, radii)

@@ -19,6 +19,7 @@ from fenicsx_obstacle.estimation.dirichlet_boundary import dirichlet_boundary
 from fenicsx_obstacle.estimation.enclosed_data import range_of
 from fenicsx_obstacle.estimation.flux_p1 import EquilibrationP1, FluxP1
 from fenicsx_obstacle.estimation.flux_p2 import EquilibrationP2, FluxP2
+from fenicsx_obstacle.estimation.friedrichs import friedrichs
 from fenicsx_obstacle.estimation.matrix_tension import MatrixTension
 from fenicsx_obstacle.estimation.oscillation import Oscillation
 from fenicsx_obstacle.estimation.pieces import Pieces
@@ -119,7 +120,9 @@ class Element(ABC):
 
     def _friedrichs(self) -> float:
         """The constant, infinite where none is known (collective)."""
-        return self.held.friedrichs() / sqrt(smallest(self.simplices.data.level.comm, self.tension.least))
+        level = self.simplices.data.level
+        least = smallest(level.comm, self.tension.least)
+        return friedrichs(level, self.held, self.simplices.held) / sqrt(least)
 
     def _range(self, obstacle: Field) -> Pieces:
         """Bounds of an obstacle in the cells."""

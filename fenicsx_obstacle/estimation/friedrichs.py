@@ -1,4 +1,7 @@
-"""Friedrichs' constant of a domain of any shape on which u is given on any part of the boundary, by paths of cells.
+"""Friedrichs' constant: c with ||v|| <= c ||grad v|| for functions that are 0 where u is given.
+
+Of a box, or of a domain that is held all around, it is known. Of any other shape, held on any part of the boundary, one
+is proved by paths of cells.
 
 In a simplex T let F be the facet opposite to the vertex P. As (x - P) . n is d |T|/|F| on F and 0 on the other facets,
 
@@ -21,16 +24,54 @@ best one, but forces that it weighs are those that balance leaves over: round-of
 
 from __future__ import annotations
 
-from math import sqrt
+from math import pi, sqrt
 
 import numpy as np
 from dolfinx import fem
 
 from fenicsx_obstacle import releases
+from fenicsx_obstacle.estimation.dirichlet_boundary import DirichletBoundary
 from fenicsx_obstacle.estimation.patches import pairs
 from fenicsx_obstacle.mesh.cells import cell_facets, corners, longest_edges, volumes
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import largest, total
+
+J01 = 2.404825557695773  # first zero of the Bessel function J_0
+
+
+def friedrichs(level: Level, boundary: DirichletBoundary, held_sides: np.ndarray) -> float:
+    """Friedrichs' constant, in axial symmetry with the weight of integrals; infinite where none is known (collective).
+
+    Args:
+        level: A mesh of simplices.
+        boundary: Where u is given.
+        held_sides: As for `friedrichs_by_paths`.
+    """
+    if boundary.everywhere or boundary.faces.any():
+        return of_box(boundary)
+    by_paths = friedrichs_by_paths(level, held_sides)
+    if boundary.radii is None:
+        return by_paths
+    inner, outer = boundary.radii
+    return by_paths * sqrt(outer / inner) if inner > 0 else np.inf
+
+
+def of_box(boundary: DirichletBoundary) -> float:
+    """Friedrichs' constant of a box, a side after the other by its first eigenvalue, (E8); of any other domain held all
+    around that of the box around it.
+
+    With the weight of axial symmetry, which is between two numbers, along the radius the root of their ratio is a
+    factor; and held outside it is that of a disk, whose first eigenvalue is (j_01/R)^2, if the domain or the box begins
+    at the axis, or if functions that are 0 all around can be continued there. Infinite where `boundary` has no such
+    face.
+    """
+    wave = (2 if boundary.everywhere else boundary.faces) * pi / (2 * boundary.sides)
+    if boundary.radii is not None:
+        inner, outer = boundary.radii
+        wave[0] *= sqrt(max(inner, 0.0) / outer)
+        if boundary.everywhere or (inner == 0 and boundary.faces[0] > 0):
+            wave[0] = max(wave[0], J01 / outer)
+    return 1 / float(np.linalg.norm(wave)) if np.any(wave > 0) else np.inf
 
 
 def friedrichs_by_paths(level: Level, held_sides: np.ndarray) -> float:

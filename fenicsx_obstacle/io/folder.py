@@ -28,7 +28,8 @@ from fenicsx_obstacle.io.validation import check_arrays, check_record
 from fenicsx_obstacle.mesh.cells import own_cells
 from fenicsx_obstacle.mesh.levels import vector_pair
 from fenicsx_obstacle.mesh.named_parts import Groups, parts_of
-from fenicsx_obstacle.parallel import agree, gathered, new_files, on_root, write_text
+from fenicsx_obstacle.parallel import agree, gathered, on_root
+from fenicsx_obstacle.safe_writing import new_files, write_text
 
 ANSWER = "answer.json"
 STEPS = "newton.gif"  # drawn on demand; of an older solution it goes like what belongs to time

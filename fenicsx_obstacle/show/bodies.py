@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenicsx_obstacle.mesh.cells import chains
-from fenicsx_obstacle.show.boundary import Patch, rim
 from fenicsx_obstacle.show.figures import BLUE, ROUND_OFF, VERMILION, blank, legend_below
+from fenicsx_obstacle.show.free_boundary import Patch, rim
 from fenicsx_obstacle.show.maps import draw_edges, heights, pressures, triangles
 from fenicsx_obstacle.show.render import EYE, FREE, OBSTACLE, axes_of_view
 from fenicsx_obstacle.show.space import draw_views

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import replaced
+from fenicsx_obstacle.safe_writing import replaced
 from fenicsx_obstacle.text import one_line
 
 # Okabe and Ito's colours, told apart by colour-blind readers; each line has a marker of its own as well

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenicsx_obstacle.show.boundary import LEVELS, Patch, free_boundary, rim
 from fenicsx_obstacle.show.figures import BLUE, INK, figure, over, power, save
+from fenicsx_obstacle.show.free_boundary import LEVELS, Patch, free_boundary, rim
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.estimation.bound import Bound

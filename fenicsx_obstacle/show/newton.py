@@ -21,8 +21,8 @@ from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import BLUE, figure, heading, legend_below, write_gif
+from fenicsx_obstacle.show.free_boundary import Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.maps import draw_domain, draw_lines, triangles
 from fenicsx_obstacle.text import counted, title_of
 

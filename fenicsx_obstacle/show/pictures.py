@@ -16,7 +16,6 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import gather
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.show.boundary import LEVELS, SIDES, Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
     ABOVE,
     BLUE,
@@ -33,6 +32,7 @@ from fenicsx_obstacle.show.figures import (
     save,
     steady,
 )
+from fenicsx_obstacle.show.free_boundary import LEVELS, SIDES, Patch, free_boundary, patch_of
 from fenicsx_obstacle.show.maps import OUT_OF_CONTACT, draw_map, hatch_obstacles, heights, pressures
 from fenicsx_obstacle.show.render import FREE, OBSTACLE, UPPER
 from fenicsx_obstacle.show.space import cut_at, draw_views

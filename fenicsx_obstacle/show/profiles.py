@@ -21,8 +21,9 @@ from fenicsx_obstacle.answers.profiles import (
     profiles_of,
 )
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import largest, on_root, write_text
+from fenicsx_obstacle.parallel import largest, on_root
 from fenicsx_obstacle.problems.values import Profile
+from fenicsx_obstacle.safe_writing import write_text
 from fenicsx_obstacle.scenes.report import DRAWN_OF_BODIES, compared, of_profile
 from fenicsx_obstacle.show.figures import (
     ABOVE,

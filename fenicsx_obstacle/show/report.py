@@ -18,10 +18,11 @@ from fenicsx_obstacle.fields.cut import OnNodes, global_dofs
 from fenicsx_obstacle.fields.scalar import Fields
 from fenicsx_obstacle.io.folder import STEPS, gather, write_record
 from fenicsx_obstacle.origin import program
-from fenicsx_obstacle.parallel import gathered, largest, on_root, peak_memory_mb, smallest, write_text
+from fenicsx_obstacle.parallel import gathered, largest, on_root, peak_memory_mb, smallest
+from fenicsx_obstacle.safe_writing import write_text
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.show.boundary import RINGS, SIDES, Patch, free_boundary, pressed, with_levels
 from fenicsx_obstacle.show.explain import explained
+from fenicsx_obstacle.show.free_boundary import RINGS, SIDES, Patch, free_boundary, pressed, with_levels
 from fenicsx_obstacle.show.template import filled
 from fenicsx_obstacle.text import title_of
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fenicsx_obstacle.show import render
-from fenicsx_obstacle.show.boundary import Patch
 from fenicsx_obstacle.show.figures import digits, over, power
+from fenicsx_obstacle.show.free_boundary import Patch
 from fenicsx_obstacle.show.render import View
 
 HEIGHT = 0.42  # of the graph of u, in units of its widest side

@@ -9,8 +9,9 @@ from textwrap import fill
 
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.origin import command
-from fenicsx_obstacle.parallel import on_root, write_text
+from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.problems.summary import remarks_in_words
+from fenicsx_obstacle.safe_writing import write_text
 from fenicsx_obstacle.show.figures import save
 from fenicsx_obstacle.show.plots import drawings
 from fenicsx_obstacle.show.profiles import draw_rows

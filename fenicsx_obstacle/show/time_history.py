@@ -11,7 +11,6 @@ import numpy as np
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.time_history import Frame
 from fenicsx_obstacle.scenes.from_tables import COUNTS, USUAL
-from fenicsx_obstacle.show.boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.figures import (
     BLUE,
     COLOURS,
@@ -25,6 +24,7 @@ from fenicsx_obstacle.show.figures import (
     terms_of,
     write_gif,
 )
+from fenicsx_obstacle.show.free_boundary import free_boundary, patch_of
 from fenicsx_obstacle.show.maps import colours, draw_edges, hatch_obstacles, triangles
 
 HISTORY, ANIMATION = "history.png", "answer.gif"

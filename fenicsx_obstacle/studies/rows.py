@@ -23,7 +23,8 @@ from fenicsx_obstacle.effects import plugin
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh import files
 from fenicsx_obstacle.origin import versions
-from fenicsx_obstacle.parallel import make_folder, on_root, remove_empty, write_text
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.safe_writing import make_folder, remove_empty, write_text
 from fenicsx_obstacle.scenes.scene import Scene
 from fenicsx_obstacle.text import csv_of
 

@@ -12,7 +12,8 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.launcher import environment
-from fenicsx_obstacle.parallel import on_root, write_lines
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.safe_writing import write_lines
 from tests.cli.broken.run import run
 from tests.cli.faults.disk import disks
 from tests.cli.faults.kill import Fault, interrupts, kills

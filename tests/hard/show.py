@@ -10,7 +10,8 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenicsx_obstacle.parallel import on_root, write_lines, write_text
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.safe_writing import write_lines, write_text
 from fenicsx_obstacle.text import counted
 from tests.hard.cases import cases, named
 from tests.hard.judge import METHODS

@@ -12,7 +12,8 @@ from statistics import median
 from mpi4py import MPI
 
 from fenicsx_obstacle.launcher import environment
-from fenicsx_obstacle.parallel import on_root, write_lines
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.safe_writing import write_lines
 from fenicsx_obstacle.studies.rows import RowStore
 from tests.hard.row import FAILED, Row
 from tests.hard.suite import one_rank

@@ -13,7 +13,8 @@ from typing import Any
 from mpi4py import MPI
 
 from fenicsx_obstacle.forms.pairs import pairs
-from fenicsx_obstacle.parallel import on_root, write_lines
+from fenicsx_obstacle.parallel import on_root
+from fenicsx_obstacle.safe_writing import write_lines
 from fenicsx_obstacle.scenes.catalogue import names
 from fenicsx_obstacle.show.figures import panels, save, style
 from fenicsx_obstacle.text import counted

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from fenicsx_obstacle.effects.effect import Effect, Reader, register
+from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
 
 
@@ -16,7 +19,7 @@ class AxialSymmetry(Effect):
 
     It is what integrals over the body become, divided by 2 pi. For elements of degree 1 the weight is x at the middle
     of each cell, so that nodes on the axis have an area of contact too; a side on the axis is free by itself. Areas and
-    forces are per radian. The weight itself is part of `Data.dx` and the other measures (`data/measures.py`).
+    forces are per radian. `Data.dx` gives integrals over cells this weight, `data/measures.py` those over facets.
     """
 
     value: None = None  # type: ignore[assignment]
@@ -36,3 +39,15 @@ class AxialSymmetry(Effect):
             "true: x is the distance from the axis, the weight of every integral of the equation, but not of those in "
             "[report]; areas and forces are per radian"
         )
+
+
+class Radius(Field):
+    """x, as a datum."""
+
+    text = "x"
+
+    def __init__(self, source: str):
+        self.source = source
+
+    def at(self, x: np.ndarray, names: Names, cells: np.ndarray | None = None) -> np.ndarray:
+        return x[0]

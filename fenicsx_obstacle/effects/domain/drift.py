@@ -20,7 +20,7 @@ class Drift(Effect):
 
     It is not symmetric, and there is no energy. With the Peclet number Pe = |drift| h/(2 tension) of a cell, Galerkin's
     method oscillates where Pe > 1. There, and only there, the test functions of drift, load and foundation are
-    upwinded (SUPG, Brooks and Hughes 1982, with the upwinding max(0, 1 - 1/Pe)):
+    upwinded (`effects/upwinding.py`: SUPG, Brooks and Hughes 1982, with the upwinding max(0, 1 - 1/Pe)):
 
         v + tau drift . grad v,   tau = max(0, |drift| h/2 - tension)/|drift|^2.
 
