@@ -31,10 +31,11 @@ SADDLE = {**DIRECT, "mat_mumps_icntl_14": 300}  # per cent more memory: zeros on
 # without symmetry: with strong drift the preconditioned norm is far from that of the residual
 GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_pc_side": "right", "ksp_norm_type": "unpreconditioned"}
 # Gaussian elimination on the coarsest level raises an error where its matrix is singular, as far from a solution
-# it may be, and only on the ranks with rows there: the others would wait for them. Sweeps over so few rows do the same
+# it may be, and only on the ranks with rows there: the others would wait for them. Many sweeps over the few rows do
+# nearly the same
 COARSEST = {
     "pc_hypre_boomeramg_relax_type_coarse": "symmetric-SOR/Jacobi",
-    "pc_hypre_boomeramg_grid_sweeps_coarse": 10,
+    "pc_hypre_boomeramg_grid_sweeps_coarse": 50,
 }
 INEXACT = {
     "ksp_type": "cg",
