@@ -28,9 +28,10 @@ from fenicsx_obstacle.algebra.linear_solvers import (
     user_has_set,
 )
 from fenicsx_obstacle.algebra.plausibility import violation
+from fenicsx_obstacle.algebra.reduced_systems import OnInactive, Reducible
 from fenicsx_obstacle.algebra.stopping import MEANINGLESS, ON_THE_WAY, Step, Stopping, in_words
 from fenicsx_obstacle.algebra.system import System
-from fenicsx_obstacle.algebra.truncated_multigrid import HeldRows, KeptLevels, Multigrid, OnInactive
+from fenicsx_obstacle.algebra.truncated_multigrid import HeldRows, KeptLevels, Multigrid
 from fenicsx_obstacle.errors import NotConverged
 from fenicsx_obstacle.parallel import total
 
@@ -105,7 +106,7 @@ def run(
     directly = multigrid is None and not (chosen or problem.preconditioner) and direct_first(problem.dofs)
     if direct or problem.direct or not problem.nodal or directly:
         linear = DIRECT  # algebraic multigrid fails with a large penalty that couples nodes
-    held: Multigrid | HeldRows | None = multigrid
+    held: Multigrid | HeldRows | None = None if penalised else multigrid
     if problem.preconditioner and not (penalised or chosen or linear is DIRECT):
         held = HeldRows(problem)
         # SNES VI reads the options again when the active set changes
@@ -137,7 +138,7 @@ def run(
             if linear is not DIRECT and not problem.affine:
                 check_diagonal(problem.A, problem.comm)
 
-    snes.setJacobian(jacobian, problem.A)
+    snes.setJacobian(jacobian, problem.A if held is None else Reducible.of(problem.A))
     if objective:
         snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
     snes.setOptionsPrefix(prefix)
@@ -148,9 +149,9 @@ def run(
         if by_rigid_motions:
             snes.ksp.pc.setType("python")
             snes.ksp.pc.setPythonContext(KeptLevels(problem, prefix))
-        if held is not None and not penalised:
+        if held is not None:
             snes.ksp.pc.setType("python")
-            snes.ksp.pc.setPythonContext(OnInactive(snes, held, prefix))
+            snes.ksp.pc.setPythonContext(OnInactive(held, prefix))
         if prepare is not None:
             prepare(snes)
         if inexact:
