@@ -49,7 +49,7 @@ _HOME = {
     "PenetrationWarning": "errors",
     "ObstacleProblem": "problems.obstacle_problem",
     "Scene": "scenes.scene",
-    "Table": "data.measured.table",
+    "Table": "data.measured.surface",
     "Solution": "problems.solution",
     "SystemSolution": "algebra.solve_system",
     "contact_pressure": "forms.penalty",

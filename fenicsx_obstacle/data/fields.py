@@ -27,7 +27,7 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import polynomials, releases
-from fenicsx_obstacle.data.measured.table import Table
+from fenicsx_obstacle.data.measured.surface import Table
 from fenicsx_obstacle.effects.field import Bounds, ByCells, Enclosed, Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.levels import Level

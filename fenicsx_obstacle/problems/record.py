@@ -10,7 +10,7 @@ import numpy as np
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.penalty_parameter import large_penetration
 from fenicsx_obstacle.algebra.snes import Outcome
-from fenicsx_obstacle.data.measured.table import MeasuredField
+from fenicsx_obstacle.data.measured.surface import MeasuredField
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.estimation.round_off import round_off
 from fenicsx_obstacle.origin import command, versions

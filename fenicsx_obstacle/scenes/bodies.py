@@ -20,7 +20,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.algebra.options import EpsFormula, SolverOptions
 from fenicsx_obstacle.algebra.system import with_infinities
 from fenicsx_obstacle.data.data import Data
-from fenicsx_obstacle.data.measured.table import MeasuredField
+from fenicsx_obstacle.data.measured.surface import MeasuredField
 from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.discrete.assembly import assembled
 from fenicsx_obstacle.discrete.contact_nodes import HELD, KINK, HeldBeyond

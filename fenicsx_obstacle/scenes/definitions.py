@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fenicsx_obstacle import releases
-from fenicsx_obstacle.data.measured.table import Table
+from fenicsx_obstacle.data.measured.surface import Table
 from fenicsx_obstacle.effects.effect import Elastic, find
 from fenicsx_obstacle.effects.field import ByCells, Field
 from fenicsx_obstacle.errors import InputError

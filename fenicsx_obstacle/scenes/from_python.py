@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from fenicsx_obstacle.data.measured.table import Table
+from fenicsx_obstacle.data.measured.surface import Table
 from fenicsx_obstacle.effects.field import Field, Names
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.mesh.levels import Level

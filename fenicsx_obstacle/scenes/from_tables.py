@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fenicsx_obstacle.data.measured.table import MeasuredField
+from fenicsx_obstacle.data.measured.surface import MeasuredField
 from fenicsx_obstacle.data.model import Model, Part
 from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, RATE, TimeDiscretization
 from fenicsx_obstacle.effects.effect import Effect, Elastic, OnPart, find, known

@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 from scipy.linalg import null_space
 
-from fenicsx_obstacle.data.measured.table import MeasuredField
+from fenicsx_obstacle.data.measured.surface import MeasuredField
 from fenicsx_obstacle.data.measured.triangulated import Triangulated
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import agree, largest

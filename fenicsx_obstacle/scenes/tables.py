@@ -35,7 +35,7 @@ Positive = Annotated[int, Meta(ge=1, le=10**9)]
 
 
 class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Measured data, {file = "rough.csv"}: the keys of `data.measured.table.Table`."""
+    """Measured data, {file = "rough.csv"}: the keys of `data.measured.surface.Table`."""
 
     file: str
     x: Numbers | None = None
