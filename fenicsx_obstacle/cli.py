@@ -36,7 +36,7 @@ def commands() -> None:
 @click.argument("scene_file", metavar="SCENE")
 @click.option("--plot", "picture", is_flag=True, help="Draw answer.png as well; the command plot does it later.")
 @click.option("--newton", is_flag=True, help="Draw newton.gif: contact sets of the Newton steps and of (3.4)*.")
-@click.option("--bound", is_flag=True, help="Compute an upper bound of the energy error.")
+@click.option("--bound", is_flag=True, help="Compute an upper bound of the energy error, with the means of the load.")
 @click.option("--tol", type=float, metavar="R", help="Refine until the relative energy error is below R, or status 4.")
 @click.option("--tol-absolute", type=float, metavar="E", help="The same in the unit of the energy norm.")
 @click.option("--of", "goal", metavar="NAME", help="The tolerance is for this: energy, force, or a name of [report].")

@@ -191,6 +191,15 @@ def test_other_types_of_snes_are_refused_by_name(kind):
         problem.solve(method="vi")
 
 
+def test_gamg_is_refused_by_vi():
+    """PETSc's SNES VI ends with an error where an active set changes, and on several ranks the next solve hangs."""
+    form = Form(2, 8, lambda u, x: 1.0, -10.0)
+    problem = ObstacleProblem(form.F, form.u, bcs=form.bc, lower=-0.3, petsc_options={"pc_type": "gamg"})
+    with pytest.raises(InputError, match=r"vi_pc_type = gamg: .* take hypre or lu"):
+        problem.solve(method="vi")
+    assert problem.solve().force.lower > 0
+
+
 MOTIONS = {
     "rate": {"rate": 1, "load": "-6*t", "lower": -0.05},
     "inertia": {"inertia": 1, "rate": 0.5, "load": -4, "lower": "-0.08 - 0.05*x"},

@@ -207,6 +207,10 @@ def test_steps_do_not_depend_on_the_size(how):
     ({"points": np.zeros((3, 4))}, "points: expected finite coordinates of the shape"),
     ({"points": np.zeros(3), "method": "successive"}, "points: expected finite coordinates of the shape"),
     ({"A": scipy.sparse.csr_matrix(np.diag([2.0, 2.0, 0.0])), "fixed": [2]}, "A: no diagonal entry .* at 1 row"),
+    ({"A": 2j * np.eye(3)}, "A: expected real numbers, not complex ones"),
+    ({"f": np.array([1.0, 1j, 0.0])}, "f: expected real numbers, not complex ones"),
+    ({"A": PETSc.Mat().createAIJ(3, nnz=1, comm=MPI.COMM_SELF)}, "A: the matrix is not assembled"),
+    ({"fixed": [1, 0, 0]}, "fixed: zeros and ones for all 3 rows"),
     ({"method": "newton"}, "method = 'newton'"),
     ({"eps": -1.0}, "eps = -1"),
 ])  # fmt: skip
@@ -214,6 +218,26 @@ def test_wrong_arguments(given, words):
     arguments = {"A": 2 * np.eye(3), "f": 1.0, **given}
     with pytest.raises(InputError, match=words):
         solve_system(arguments.pop("A"), arguments.pop("f"), comm=MPI.COMM_SELF, **arguments)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("kind", ["csr", "csc", "coo"])
+def test_entries_in_any_order_and_in_pieces(kind):
+    """Entries of a matrix may stand in pieces, which add up, and share their arrays with another matrix."""
+    rows, columns = (
+        np.tile(np.arange(6), 4),
+        np.concatenate([np.arange(6), np.arange(6), np.arange(6) - 1, np.arange(6) + 1]),
+    )
+    values = np.repeat([1.0, 1.0, -1.0, -1.0], 6)
+    inside = (columns >= 0) & (columns < 6)
+    order = np.argsort(rows[inside], kind="stable")
+    rows, columns, values = (array[inside][order] for array in (rows, columns, values))
+    starts = np.searchsorted(rows, np.arange(7))
+    A = scipy.sparse.csr_matrix((values, columns, starts)).asformat(kind)
+    indices = columns.copy()
+    found = solve_system(A, -1.0, lower=-2.0, method="vi", comm=MPI.COMM_SELF)
+    assert found.u == pytest.approx([-1.5, -2, -2, -2, -2, -1.5])
+    assert np.array_equal(columns, indices) and values[0] == 1.0
 
 
 def test_an_error_on_one_rank_is_one_on_all():

@@ -88,18 +88,20 @@ def test_chosen_steps():
 @pytest.mark.parametrize("method", slow_except(METHODS, "penalty"))
 @pytest.mark.slow
 def test_order_of_inertia(method):
-    """A standing wave: with lumped masses the nodes of sin(pi x) swing with 2/h sin(pi h/2); midpoint rule, order 2."""
-    frequency = 2 * 16 * math.sin(math.pi / 32)
-    errors = []
+    """A standing wave: with lumped masses the nodes of sin(pi x) swing with 2/h sin(pi h/2); midpoint rule, order 2.
+    So does the reaction at an end, which a step has in its middle."""
+    frequency, slope = 2 * 16 * math.sin(math.pi / 32), 16 * math.sin(math.pi / 16)
+    errors, of_reactions = [], []
     for steps in (40, 80, 160):
         scene = Scene(mesh=INTERVAL, inertia=1, tension=1, lower=-3,
                       time={"end": 1.3, "steps": steps, "start": "sin(pi*x)"},
-                      report={"middle": "at(u, 0.5)"})  # fmt: skip
+                      report={"middle": "at(u, 0.5)", "reaction": "integral(normal_flux, 'left')"})  # fmt: skip
         answer = solve(scene, method=method)
         errors.append(abs(answer.report["middle"] - math.cos(frequency * 1.3)))
+        of_reactions.append(abs(answer.report["reaction"] + slope * math.cos(frequency * 1.3)))
         energy = answer.time_history.column("energy")
         assert np.allclose(energy, energy[0], rtol=1e-8)  # kept, whatever the step
-    assert np.allclose(orders(errors), 2, atol=0.1)
+    assert np.allclose(orders(errors), 2, atol=0.1) and np.allclose(orders(of_reactions), 2, atol=0.1)
 
 
 @pytest.mark.slow

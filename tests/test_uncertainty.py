@@ -54,6 +54,14 @@ def test_richardson(order, degree):
     assert np.isclose(found.error, SAFETY * true) if order <= 2 else found.error > true
 
 
+def test_a_bound_has_the_same_load_on_all_meshes():
+    """For a bound the load has its means in the cells, otherwise its values at their centres."""
+    scene = membrane(load="-20*x^8", lower=-9, mesh={"shape": "rectangle", "cells": 16})
+    found = solve(scene, bound=True, uncertainty=True).record["uncertainty"]["energy"]["values"]
+    assert found[0] == pytest.approx(solve(scene, cells=4, bound=True).record["energy"], rel=1e-9)
+    assert found[0] != pytest.approx(solve(scene, cells=4).record["energy"], rel=1e-3)
+
+
 def test_what_is_not_settled():
     """Powers of 1/h and log(1/h) are unbounded, changes that stay are not settled, round-off is settled."""
     levels = (8, 16, 32)

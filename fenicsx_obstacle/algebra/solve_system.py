@@ -234,18 +234,24 @@ def _diagonal_entries(A: PETSc.Mat) -> np.ndarray:
 def matrix_of(A: Any, comm: MPI.Comm) -> PETSc.Mat:
     """A matrix of PETSc's from one of its own, or on one rank from whatever `scipy.sparse.csr_matrix` takes."""
     if isinstance(A, PETSc.Mat):
+        if not A.isAssembled():
+            raise InputError(f"{NAME} A: the matrix is not assembled: call A.assemble()")
         return A if "aij" in A.getType() and "baij" not in A.getType() else A.convert("aij", PETSc.Mat())
     from scipy.sparse import csr_matrix
 
     if comm.size > 1:
         raise InputError(f"{NAME} A: on several ranks expected a PETSc matrix, whose rows are distributed")
-    rows = csr_matrix(A)
-    rows.sort_indices()
+    rows = csr_matrix(A, copy=True)  # the arrays may be those of another matrix too
+    rows.sum_duplicates()
+    if rows.dtype.kind == "c":
+        raise InputError(f"{NAME} A: expected real numbers, not complex ones")
     csr = rows.indptr.astype(PETSc.IntType), rows.indices.astype(PETSc.IntType), rows.data.astype(float)
     return PETSc.Mat().createAIJ(rows.shape, csr=csr, comm=comm)
 
 
 def _array(values: Any, own: int, name: str, *, finite: bool = True) -> np.ndarray:
+    if np.iscomplexobj(values):
+        raise InputError(f"{NAME} {name}: expected real numbers, not complex ones")
     try:
         numbers = np.ma.filled(np.asanyarray(values, dtype=float), np.nan)  # a masked value is none
         found = np.array(np.broadcast_to(numbers, own))
@@ -260,6 +266,8 @@ def _rows(rows: Any, own: int) -> np.ndarray:
     found = np.asarray(rows)
     flags = found.dtype == bool and found.shape == (own,)
     numbers = found.dtype.kind in "iu" and found.ndim == 1 and np.all((found >= 0) & (found < own))
+    if numbers and len(found) == own > 2 and np.all(found < 2):
+        raise InputError(f"{NAME} fixed: zeros and ones for all {own} rows: flags must be of the type bool")
     if not (flags or numbers or found.size == 0):
         raise InputError(f"{NAME} fixed: expected {own} flags, or numbers of owned rows from 0 to {own - 1}")
     return found if found.size else np.empty(0, dtype=int)

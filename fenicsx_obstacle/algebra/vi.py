@@ -66,7 +66,7 @@ def solve_vi(
 
 
 def _refuse_other_solvers(problem: System) -> None:
-    """Reject a type of SNES for which `Stopping` is not made, or which ignores bounds.
+    """Reject a type of SNES for which `Stopping` is not made, or which ignores bounds, and a preconditioner that fails.
 
     Raises:
         InputError: With the option.
@@ -77,6 +77,12 @@ def _refuse_other_solvers(problem: System) -> None:
         raise InputError(
             f"PETSc option {option} = {kind}: the method vi is made for {VI['snes_type']} alone; leave the option out, "
             "or take the method penalty"
+        )
+    option = problem.options_of("vi") + "pc_type"
+    if PETSc.Options().getString(option, "") == "gamg":
+        raise InputError(
+            f"PETSc option {option} = gamg: SNES VI changes the size of its linear systems, which gamg does not take; "
+            "take hypre or lu, leave the option out, or take the method penalty"
         )
 
 

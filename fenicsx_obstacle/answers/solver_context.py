@@ -261,8 +261,7 @@ class SolverContext:
         if self._report is None:
             return {}
         fields = {"u": state.fields.u, "p": state.fields.pressure, "contact": state.fields.contact}
-        share = 1.0 if self.scene.time is None else self.scene.time.share
-        return self._report.evaluate(fields, self.problem.elastic.array_r * share)
+        return self._report.evaluate(fields, self.problem.reactions())
 
     def _above(self, before: SolverContext) -> Levels:
         """The levels of the mesh below, which holds its solution, with those of this mesh (collective)."""

@@ -151,6 +151,21 @@ class Problem(MeshSystem):
         for vector in (x, residual):
             vector.destroy()
 
+    def reactions(self) -> np.ndarray:
+        """a(u, .) - f at owned dofs in the last state: where u is given, the reaction of the support (collective).
+
+        With inertia a step averages the forces of its two ends: those of its end count, beside the mass times the
+        acceleration of the step, which at a support belongs to half a cell.
+        """
+        elastic, before = self.elastic.array_r, self.law.impulse
+        if before is None:
+            return elastic
+        out = self.law.vector()
+        self.law.at_rest(out)
+        found = (elastic + out.array_r + before) / 2
+        out.destroy()
+        return found
+
     def _forces(self) -> float:
         """Sum of |a(u, .) - f| over free dofs at the present u."""
         self.law.elastic(self.elastic)
