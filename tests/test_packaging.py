@@ -154,7 +154,7 @@ UNWANTED = {
     "bodies": package("answers", "bodies") | package("scenes", "bodies") | package("forms", "elasticity")
     | package("discrete", "contact_nodes", "rigid_motions", "vector_levels", "vector_problem")
     | package("problems", "vector_valued") | package("fields", "vector", "contact_table"),
-    "drift and parts of the boundary": package("discrete", "drift") | package("data", "measures"),
+    "drift and parts of the boundary": package("discrete", "residence_time") | package("data", "measures"),
 }  # fmt: skip
 EFFECTS = package("effects", "domain", "domain.tension", "effect", "field", "plugin")
 OF_SUPPORTS = package("effects", "boundary", "boundary.spring", "domain.foundation")
