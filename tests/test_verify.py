@@ -13,9 +13,9 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import InputError, ObstacleProblem, solve
 from fenicsx_obstacle.algebra.stopping import Stopping
-from fenicsx_obstacle.check.finding import Reason, violated
+from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.check.reference import FreeRows, active_sets
-from fenicsx_obstacle.check.verification import solved_again, verify
+from fenicsx_obstacle.check.verification import Reason, solved_again, verify
 from fenicsx_obstacle.checkout import ROOT
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.parallel import largest, total

@@ -23,7 +23,7 @@ from fenicsx_obstacle.text import one_line
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.answers.time_history import TimeHistory
-    from fenicsx_obstacle.check.finding import Verification
+    from fenicsx_obstacle.check.verification import Verification
     from fenicsx_obstacle.data.data import Data
     from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows

@@ -1,43 +1,12 @@
-"""What a check found: invariants by name, each with its value and limit, and the verdict of all."""
+"""What a check found: an invariant by name, with its value and limit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum, StrEnum
 from typing import Any
 
 import numpy as np
-
-from fenicsx_obstacle.text import columns
-
-
-class Verdict(Enum):
-    """Of all findings together."""
-
-    RIGHT = "right"
-    WRONG = "wrong"
-
-
-class Reason(StrEnum):
-    """The invariant that a wrong solution violates; its value is the name of the row."""
-
-    NUMBERS = "values that are no numbers"
-    GIVEN_VALUES = "u has the given values"
-    OBSTACLES = "u between the obstacles"
-    PENALTY = "p = -(u - g)^+/eps"
-    COMPLEMENTARITY = "no pressure without contact"
-    BALANCE = "forces at nodes balance"
-    CORRECTION = "forces that are left move u"
-    CONTACT = "nodes in contact that are not, or the reverse"
-    AREA = "area of contact"
-    FORCE = "contact forces"
-    PUBLISHED = "fields and figures, over what they may differ by"
-    ENERGY_NORM = "u of active sets and a direct solver"
-    LARGEST_DIFFERENCE = "the same, largest difference"
-    UNITS_COUNTS = "steps and contact in other units"
-    UNITS_VALUES = "u in other units"
-    RANKS = "u on one rank, rows reversed"
 
 
 @dataclass(frozen=True)
@@ -78,35 +47,3 @@ class Finding:
 def violated(findings: Sequence[Finding]) -> list[Finding]:
     """Those that should hold and do not."""
     return [finding for finding in findings if not finding.held]
-
-
-@dataclass(frozen=True)
-class Verification:
-    """All findings about one solution.
-
-    Attributes:
-        findings: In the order in which they were checked.
-    """
-
-    findings: tuple[Finding, ...]
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether all that should hold holds."""
-        return Verdict.WRONG if violated(self.findings) else Verdict.RIGHT
-
-    @property
-    def reason(self) -> Reason | None:
-        """The first invariant that is violated; None of a right solution."""
-        wrong = violated(self.findings)
-        return Reason(wrong[0].name) if wrong else None
-
-    def __bool__(self) -> bool:
-        return self.verdict is Verdict.RIGHT
-
-    def __str__(self) -> str:
-        heads = ("check", "of", "observed", "at most", "")
-        rows = [(finding.name, finding.statement, f"{finding.observed:.3g}", f"{finding.limit:.3g}",
-                 ("held" if finding.held else "VIOLATED") if finding.claimed else "not claimed")
-                for finding in self.findings]  # fmt: skip
-        return "\n".join([*columns([heads, *rows]), f"verdict: {self.verdict.value}"])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -15,18 +16,80 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
 from fenicsx_obstacle.algebra.stopping import may_be_left, round_off, small_correction
-from fenicsx_obstacle.check.finding import Finding, Reason, Verification, violated
+from fenicsx_obstacle.check.finding import Finding, violated
 from fenicsx_obstacle.check.other_units import other_units, reversed_rows, solved
 from fenicsx_obstacle.check.reference import FreeRows, distance, free_rows, is_small, positive_factors
 from fenicsx_obstacle.discrete.contact_set import Contact, contact_of
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.parallel import largest, on_root, smallest, total
+from fenicsx_obstacle.text import columns
 
 ROUNDED = ROUNDOFF_MARGIN * EPSILON  # of the sum of the absolute values of what is added
 BY_MEANS = 1e-8  # of the range of u: gaps at a bound, for contact that is not at nodes
 TINY = 1e-300
 SAME = 1e-9  # relative: areas and forces of one pressure
+
+
+class Verdict(Enum):
+    """Of all findings together."""
+
+    RIGHT = "right"
+    WRONG = "wrong"
+
+
+class Reason(StrEnum):
+    """The invariant that a wrong solution violates; its value is the name of the row."""
+
+    NUMBERS = "values that are no numbers"
+    GIVEN_VALUES = "u has the given values"
+    OBSTACLES = "u between the obstacles"
+    PENALTY = "p = -(u - g)^+/eps"
+    COMPLEMENTARITY = "no pressure without contact"
+    BALANCE = "forces at nodes balance"
+    CORRECTION = "forces that are left move u"
+    CONTACT = "nodes in contact that are not, or the reverse"
+    AREA = "area of contact"
+    FORCE = "contact forces"
+    PUBLISHED = "fields and figures, over what they may differ by"
+    ENERGY_NORM = "u of active sets and a direct solver"
+    LARGEST_DIFFERENCE = "the same, largest difference"
+    UNITS_COUNTS = "steps and contact in other units"
+    UNITS_VALUES = "u in other units"
+    RANKS = "u on one rank, rows reversed"
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All findings about one solution.
+
+    Attributes:
+        findings: In the order in which they were checked.
+    """
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether all that should hold holds."""
+        return Verdict.WRONG if violated(self.findings) else Verdict.RIGHT
+
+    @property
+    def reason(self) -> Reason | None:
+        """The first invariant that is violated; None of a right solution."""
+        wrong = violated(self.findings)
+        return Reason(wrong[0].name) if wrong else None
+
+    def __bool__(self) -> bool:
+        return self.verdict is Verdict.RIGHT
+
+    def __str__(self) -> str:
+        heads = ("check", "of", "observed", "at most", "")
+        rows = [(finding.name, finding.statement, f"{finding.observed:.3g}", f"{finding.limit:.3g}",
+                 ("held" if finding.held else "VIOLATED") if finding.claimed else "not claimed")
+                for finding in self.findings]  # fmt: skip
+        return "\n".join([*columns([heads, *rows]), f"verdict: {self.verdict.value}"])
+
 
 # the fields of a contact of bodies, and what the record says of it
 Published = Callable[[Contact], tuple[Any, Mapping[str, Any]]]

@@ -1,11 +1,12 @@
-"""Shapes: points and cells, names of sides, projection onto a curved boundary; the coarsest grid of a shape."""
+"""Shapes: points and cells, names of sides, projection onto a curved boundary; those that scenes can name; the coarsest
+grid of a shape."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import factorial
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from dolfinx import mesh as dmesh
@@ -169,6 +170,67 @@ def disk(radius: float, cells: int) -> Shape:
     coarser = None if rings % 2 else lambda: disk(radius, rings)
     grid = (-radius, -radius), (radius, radius), (2 * rings, 2 * rings), sides, radius / rings
     return Shape("triangle", *grid, arrays=arrays, project=project, coarser=coarser)
+
+
+class Measures(Protocol):
+    """What [mesh] says of a shape; each method rejects what makes no domain."""
+
+    @property
+    def cells(self) -> int:
+        """Cells along the first side."""
+
+    @property
+    def diagonal(self) -> str:
+        """How rectangles are cut into triangles."""
+
+    @property
+    def perturb(self) -> float:
+        """How far inner vertices are moved."""
+
+    def side(self, axis: str) -> tuple[float, float]:
+        """Both ends along an axis."""
+
+    def positive(self, key: str) -> float:
+        """A positive number."""
+
+    def cell(self, *kinds: str) -> str:
+        """The kind of cells, one of these."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A shape that scenes can name.
+
+    Attributes:
+        keys: Its keys of [mesh] other than `cells` and `refine`.
+        make: Makes it.
+    """
+
+    keys: tuple[str, ...]
+    make: Callable[[Measures], Shape]
+
+
+def _interval(of: Measures) -> Shape:
+    return box("interval", [of.side("x")], of.cells)
+
+
+def _rectangle(of: Measures) -> Shape:
+    cell = of.cell("triangle", "quadrilateral")
+    return box(cell, [of.side("x"), of.side("y")], of.cells, of.diagonal, of.perturb)
+
+
+def _box(of: Measures) -> Shape:
+    cell = of.cell("tetrahedron", "hexahedron")
+    return box(cell, [of.side(axis) for axis in "xyz"], of.cells, perturb=of.perturb)
+
+
+SHAPES = {
+    "interval": Recipe(("x",), _interval),
+    "rectangle": Recipe(("x", "y", "cell", "diagonal", "perturb"), _rectangle),
+    "disk": Recipe(("radius",), lambda of: disk(of.positive("radius"), of.cells)),
+    "l-shape": Recipe(("x", "y"), lambda of: l_shape([of.side("x"), of.side("y")], of.cells)),
+    "box": Recipe(("x", "y", "z", "cell", "perturb"), _box),
+}
 
 
 def coarsest_grid(asked: Shape, comm: MPI.Comm) -> tuple[dmesh.Mesh, Named, float, int]:

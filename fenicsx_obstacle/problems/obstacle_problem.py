@@ -66,7 +66,7 @@ from fenicsx_obstacle.signatures import names_checked
 from fenicsx_obstacle.text import shown
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.check.finding import Verification
+    from fenicsx_obstacle.check.verification import Verification
     from fenicsx_obstacle.discrete.contact_set import Contact
     from fenicsx_obstacle.estimation.bound import Estimator
     from fenicsx_obstacle.problems.components import ComponentSolution, ComponentSystem

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from fenicsx_obstacle.check.finding import Verification
+    from fenicsx_obstacle.check.verification import Verification
     from fenicsx_obstacle.estimation.bound import Bound
     from fenicsx_obstacle.fields.contact_table import ContactTable
     from fenicsx_obstacle.io.rows import Rows

@@ -39,7 +39,7 @@ from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.scenes.rigid_surfaces import box_gap, facets_gap, table_gap
 
 if TYPE_CHECKING:
-    from fenicsx_obstacle.check.finding import Verification
+    from fenicsx_obstacle.check.verification import Verification
 
 MAX_SLOPE = 0.2  # norm of the gradient of u in the middle of a cell: strains and rotations are small
 MAX_SHARE = 0.2  # of the longest side of the body: displacements are small

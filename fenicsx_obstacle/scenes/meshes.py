@@ -80,46 +80,44 @@ def _begin(scene: Definitions, comm: MPI.Comm) -> tuple[Level, int, Pair]:
 
 
 def shape_of(scene: Definitions) -> shapes.Shape:
-    """The recipe that [mesh] names.
+    """The shape that [mesh] names.
 
     Raises:
         InputError: If its corners or its radius make no domain, or it has no cells of the kind asked for.
     """
-    table = scene.tables.mesh
+    name = scene.tables.mesh.shape
+    assert name is not None
+    return shapes.SHAPES[name].make(_Measures(scene))
 
-    def corner(axis: str) -> tuple[float, float]:
-        a, b = (scene.number(value, f"[mesh] {axis}") for value in getattr(table, axis))
-        place = f"{scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
+
+class _Measures:
+    """What the [mesh] table of a scene says of its shape."""
+
+    def __init__(self, scene: Definitions):
+        self.scene, self.table = scene, scene.tables.mesh
+        self.cells, self.diagonal, self.perturb = self.table.cells, self.table.diagonal, self.table.perturb
+
+    def side(self, axis: str) -> tuple[float, float]:
+        a, b = (self.scene.number(value, f"[mesh] {axis}") for value in getattr(self.table, axis))
+        place = f"{self.scene.source}: [mesh] {axis} = [{a:g}, {b:g}]"
         if not a < b:
             raise InputError(f"{place}: the first end must be less than the second")
         if not max(1e-14, 1e-13 * max(abs(a), abs(b))) < b - a < 1e150:
             raise InputError(f"{place}: too close or too far for floating point; choose another unit or origin")
         return a, b
 
-    match table.shape:
-        case "interval":
-            return shapes.box("interval", [corner("x")], table.cells)
-        case "rectangle":
-            cell = _cell(scene, "triangle", "quadrilateral")
-            return shapes.box(cell, [corner("x"), corner("y")], table.cells, table.diagonal, table.perturb)
-        case "box":
-            cell = _cell(scene, "tetrahedron", "hexahedron")
-            return shapes.box(cell, [corner("x"), corner("y"), corner("z")], table.cells, perturb=table.perturb)
-        case "l-shape":
-            return shapes.l_shape([corner("x"), corner("y")], table.cells)
-        case "disk":
-            radius = scene.number(table.radius, "[mesh] radius")
-            if radius <= 0:
-                raise InputError(f"{scene.source}: [mesh] radius = {radius:g}: must be positive")
-            return shapes.disk(radius, table.cells)
-    raise NotImplementedError(table.shape)
+    def positive(self, key: str) -> float:
+        number = self.scene.number(getattr(self.table, key), f"[mesh] {key}")
+        if number <= 0:
+            raise InputError(f"{self.scene.source}: [mesh] {key} = {number:g}: must be positive")
+        return number
 
-
-def _cell(scene: Definitions, *kinds: str) -> str:
-    """The kind of cell that [mesh] names, or else the first of these that the pair is for."""
-    asked = scene.tables.mesh.cell
-    if asked is None:
-        return next((kind for kind in kinds if kind in scene.pair.rules), kinds[0])
-    if asked not in kinds:
-        raise InputError(f"{scene.source}: [mesh] cell = '{asked}': this shape has {' or '.join(kinds)} cells")
-    return asked
+    def cell(self, *kinds: str) -> str:
+        """The kind that the table names, or else the first of these that the pair is for."""
+        asked = self.table.cell
+        if asked is None:
+            return next((kind for kind in kinds if kind in self.scene.pair.rules), kinds[0])
+        if asked not in kinds:
+            wanted = f"this shape has {' or '.join(kinds)} cells"
+            raise InputError(f"{self.scene.source}: [mesh] cell = '{asked}': {wanted}")
+        return asked

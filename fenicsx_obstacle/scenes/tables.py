@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 from fenicsx_obstacle.algebra.options import MethodName, StartName
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.mesh.shapes import SHAPES
 from fenicsx_obstacle.text import in_toml, nearest, shown
 
 Value = float | str  # a number or a formula
@@ -32,6 +33,10 @@ WORDS = {" | null": "", "`int`": "a whole number", "`float | str | object`": "a 
          "`bool`": "true or false", "`date`": "a date"}  # fmt: skip
 MAX_DEPTH = 8  # of tables and lists within each other
 Positive = Annotated[int, Meta(ge=1, le=10**9)]
+if TYPE_CHECKING:
+    ShapeName = str
+else:
+    ShapeName = Literal[tuple(SHAPES)]
 
 
 class DataTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -57,7 +62,7 @@ Vector = tuple[Datum, ...]  # of an elastic body: its components
 class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """[mesh]: a shape with its corners, or a file."""
 
-    shape: Literal["interval", "rectangle", "disk", "l-shape", "box"] | None = None
+    shape: ShapeName | None = None
     file: str | None = None
     x: tuple[Value, Value] = (0.0, 1.0)
     y: tuple[Value, Value] = (0.0, 1.0)
@@ -70,10 +75,6 @@ class MeshTable(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=T
     perturb: Annotated[float, Meta(ge=0, lt=0.5)] = 0.0
 
 
-OF_SHAPE = {  # its keys other than `cells` and `refine`
-    "interval": ("x",), "rectangle": ("x", "y", "cell", "diagonal", "perturb"),
-    "box": ("x", "y", "z", "cell", "perturb"), "l-shape": ("x", "y"), "disk": ("radius",),
-}  # fmt: skip
 _OF_ANY = ("shape", "file", "cells", "refine")
 
 
@@ -285,7 +286,7 @@ def checked(raw: dict[str, Any], source: str) -> Tables:
 
 def _no_idle_key(mesh: MeshTable, given: dict[str, Any], source: str) -> None:
     """Reject keys of [mesh] that do not belong to the shape or the file."""
-    known, default = (*_OF_ANY, *OF_SHAPE.get(mesh.shape or "", ())), MeshTable()
+    known, default = (*_OF_ANY, *(SHAPES[mesh.shape].keys if mesh.shape else ())), MeshTable()
     for key in given:
         if key not in known and getattr(mesh, key) != getattr(default, key):
             of = f"shape = '{mesh.shape}'" if mesh.shape else "a mesh from a file"

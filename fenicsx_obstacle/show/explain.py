@@ -28,10 +28,11 @@ from fenicsx_obstacle.discrete.hierarchy import (
 from fenicsx_obstacle.effects.effect import Effect, OnPart, known, of_model_problem
 from fenicsx_obstacle.mesh.memory import BYTES_PER_VERTEX, OTHERS
 from fenicsx_obstacle.mesh.meshing import GEOMETRY
+from fenicsx_obstacle.mesh.shapes import SHAPES
 from fenicsx_obstacle.scenes.formulas import Formula
 from fenicsx_obstacle.scenes.meshes import shape_of
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import OF_BODIES, OF_SHAPE, BoundaryTable, part_place
+from fenicsx_obstacle.scenes.tables import OF_BODIES, BoundaryTable, part_place
 from fenicsx_obstacle.show.tables import duration
 from fenicsx_obstacle.show.template import filled
 from fenicsx_obstacle.text import counted, plain, title_of
@@ -157,7 +158,8 @@ def _mesh(scene: Scene) -> str:
         cad = Path(table.file).suffix.lower() in GEOMETRY
         how = "meshed by Gmsh; when refined, new vertices lie on its curves and surfaces" if cad else "its polygon"
         return f"{table.file}{refined}; the geometry is {'that of the file, ' if cad else ''}{how}"
-    axes = [key for key in OF_SHAPE[table.shape or ""] if key in ("x", "y", "z")]
+    assert table.shape is not None
+    axes = [key for key in SHAPES[table.shape].keys if key in ("x", "y", "z")]
     corners = ", ".join(f"{axis} = [{', '.join(map(plain, getattr(table, axis)))}]" for axis in axes)
     where = corners or f"radius {plain(table.radius)}, boundary vertices stay on the circle when refined"
     return f"{table.shape}, {where}, {counted(table.cells, 'cell')} along x{refined}"

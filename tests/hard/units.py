@@ -18,8 +18,8 @@ import msgspec
 from fenicsx_obstacle.data.model import Model
 from fenicsx_obstacle.effects.domain.power_law import FLAT
 from fenicsx_obstacle.effects.effect import OnPart, is_support
+from fenicsx_obstacle.mesh.shapes import SHAPES
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import OF_SHAPE
 
 BILLION = 2.0**30
 MILLION = 2.0**20
@@ -78,7 +78,7 @@ class Units:
         for key in {"x", "y", "z"} & set(mesh):
             mesh[key] = [self._times(value, self.length) for value in mesh[key]]
         if mesh.get("shape") and self.length != 1.0:
-            for key in set(OF_SHAPE[mesh["shape"]]) & {"x", "y", "z"} - set(mesh):
+            for key in set(SHAPES[mesh["shape"]].keys) & {"x", "y", "z"} - set(mesh):
                 mesh[key] = [0.0, self.length]
             if mesh["shape"] == "disk":
                 mesh["radius"] = self._times(mesh.get("radius", 1.0), self.length)

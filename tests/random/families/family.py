@@ -15,8 +15,8 @@ from mpi4py import MPI
 from fenicsx_obstacle.answers.answer import Answer
 from fenicsx_obstacle.answers.solve import solve
 from fenicsx_obstacle.errors import InputError, ObstacleError
+from fenicsx_obstacle.mesh.shapes import SHAPES
 from fenicsx_obstacle.scenes.scene import Scene
-from fenicsx_obstacle.scenes.tables import OF_SHAPE
 from tests.random.families.elements import Field
 
 ANSWER, REJECTION, EITHER, INPUT_ERROR = "an answer", "a rejection", "either", "a rejection of the input"
@@ -159,7 +159,7 @@ class Family(ABC):
 
     def text(self) -> str:
         """TOML, or Python where the mesh is no shape, that shows the scene to the program again."""
-        if vars(self).get("mesh", {}).get("shape", "box") in OF_SHAPE:
+        if vars(self).get("mesh", {}).get("shape", "box") in SHAPES:
             return f"# {self.asked()}\n{self.scene().toml()}"
         return f"from {type(self).__module__} import {type(self).__name__}\n{self!r}.scene()  # {self.asked()}"
 
