@@ -35,7 +35,7 @@ GENERAL = {**LINEAR, "ksp_type": "gmres", "ksp_pc_side": "right", "ksp_norm_type
 # nearly the same
 COARSEST = {
     "pc_hypre_boomeramg_relax_type_coarse": "symmetric-SOR/Jacobi",
-    "pc_hypre_boomeramg_grid_sweeps_coarse": 50,
+    "pc_hypre_boomeramg_grid_sweeps_coarse": 20,
 }
 INEXACT = {
     "ksp_type": "cg",
