@@ -14,38 +14,26 @@ from petsc4py import PETSc
 from fenicsx_obstacle.algebra.truncated_multigrid import HeldRows, Multigrid
 
 
-class Reducible:
-    """PETSc Python Mat: a matrix with a `Reduced` for its rows and columns."""
-
-    def __init__(self, A: PETSc.Mat):
-        self.A = A
-
-    @classmethod
-    def of(cls, A: PETSc.Mat) -> PETSc.Mat:
-        """PETSc's matrix for one."""
-        return PETSc.Mat().createPython(A.getSizes(), cls(A), comm=A.comm)
-
-    def mult(self, _: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """PETSc's callback (collective)."""
-        self.A.mult(x, y)
-
-    def createSubMatrix(self, _: PETSc.Mat, rows: PETSc.IS, columns: PETSc.IS, __: PETSc.Mat | None) -> PETSc.Mat:
-        """PETSc's callback, for columns that are the rows (collective)."""
-        size = (rows.getLocalSize(), rows.getSize())
-        return PETSc.Mat().createPython((size, size), Reduced(self.A, rows), comm=self.A.comm)
-
-
 class Reduced:
-    """PETSc Python Mat: some rows of a matrix, and the same columns.
+    """PETSc Python Mat: some rows of a matrix, and the same columns; its submatrices are others of these.
 
     Attributes:
         rows: Their places among the owned ones.
     """
 
-    def __init__(self, A: PETSc.Mat, rows: PETSc.IS):
-        self.A = A
-        self.rows = rows.getIndices() - A.getOwnershipRange()[0]
+    def __init__(self, A: PETSc.Mat, rows: np.ndarray | slice):
+        self.A, self.rows = A, rows
         self._whole, self._result = A.createVecs()
+
+    @classmethod
+    def whole(cls, A: PETSc.Mat) -> PETSc.Mat:
+        """PETSc's matrix with all rows."""
+        return PETSc.Mat().createPython(A.getSizes(), cls(A, slice(None)), comm=A.comm)
+
+    def createSubMatrix(self, _: PETSc.Mat, rows: PETSc.IS, columns: PETSc.IS, __: PETSc.Mat | None) -> PETSc.Mat:
+        """PETSc's callback, of the whole and for columns that are the rows (collective)."""
+        size, places = (rows.getLocalSize(), rows.getSize()), rows.getIndices() - self.A.getOwnershipRange()[0]
+        return PETSc.Mat().createPython((size, size), Reduced(self.A, places), comm=self.A.comm)
 
     def apply(self, action: Callable[[PETSc.Vec, PETSc.Vec], None], x: PETSc.Vec, y: PETSc.Vec) -> None:
         """What an action on whole vectors does to these rows, where the others are 0 (collective)."""

@@ -28,7 +28,7 @@ from fenicsx_obstacle.algebra.linear_solvers import (
     user_has_set,
 )
 from fenicsx_obstacle.algebra.plausibility import violation
-from fenicsx_obstacle.algebra.reduced_systems import OnInactive, Reducible
+from fenicsx_obstacle.algebra.reduced_systems import OnInactive, Reduced
 from fenicsx_obstacle.algebra.stopping import MEANINGLESS, ON_THE_WAY, Step, Stopping, in_words
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.truncated_multigrid import HeldRows, KeptLevels, Multigrid
@@ -138,7 +138,7 @@ def run(
             if linear is not DIRECT and not problem.affine:
                 check_diagonal(problem.A, problem.comm)
 
-    snes.setJacobian(jacobian, problem.A if held is None else Reducible.of(problem.A))
+    snes.setJacobian(jacobian, problem.A if held is None else Reduced.whole(problem.A))
     if objective:
         snes.setObjective(lambda _, x: problem.energy(x, penalised=penalised))
     snes.setOptionsPrefix(prefix)
