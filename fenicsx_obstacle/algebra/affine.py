@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.products import absolute_product, product
 from fenicsx_obstacle.algebra.state import State
 from fenicsx_obstacle.parallel import total
 
@@ -73,25 +74,12 @@ class Affine:
 
     def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
         """A u - f at owned dofs; the state stays as it is."""
-        u, force = self._scratch, self._constant.duplicate()
-        u.array[:] = u_values
-        self.stiffness.multAdd(u, self.minus_load, force)
-        found = force.array.copy()
-        force.destroy()
-        return found
+        return product(self.stiffness, u_values) + self.minus_load.array_r
 
     def forces_within(self) -> tuple[np.ndarray, np.ndarray]:
         """A u and |A| |u| at owned dofs."""
-        size, (starts, columns, values) = self.stiffness.getSizes(), self.stiffness.getValuesCSR()
-        sizes = PETSc.Mat().createAIJ(size, csr=(starts, columns, np.abs(values)), comm=self.comm)
-        u, force, found = self._scratch, self._constant.duplicate(), list[np.ndarray]()
-        for A, change in ((self.stiffness, np.copy), (sizes, np.abs)):
-            u.array[:] = change(self.state.w + self.state.r)
-            A.mult(u, force)
-            found.append(force.array.copy())
-        for owner in (sizes, force):
-            owner.destroy()
-        return found[0], found[1]
+        u = self.state.w + self.state.r
+        return product(self.stiffness, u), absolute_product(self.stiffness, np.abs(u))
 
     def leans(self, side: int, share: float = MOSTLY) -> bool:
         """Whether the nodal forces have the sign of a side, -1 or 1, up to a share of their sum."""
@@ -139,28 +127,17 @@ class Affine:
         takes no digit: with the constant c for which this sum is the least of v = u - c,
         u . A u = v . A v + c (A 1) . (2 v + c).
         """
-        u, force = self._scratch, self._constant.duplicate()
-        np.add(self.state.w, self.state.r, out=u.array)
-        load = u.dot(self.minus_load)
-        stiff, sums = self._stiffness_of_rows()
-        c = total(self.comm, stiff * u.array_r) / max(total(self.comm, stiff), TINY)
-        u.shift(-c)
-        self.stiffness.mult(u, force)
-        value = 0.5 * (u.dot(force) + c * total(self.comm, sums * (2 * u.array_r + c))) + load
-        force.destroy()
-        return value
+        u, (stiff, sums) = self.state.w + self.state.r, self._stiffness_of_rows()
+        load = total(self.comm, u * self.minus_load.array_r)
+        c = total(self.comm, stiff * u) / max(total(self.comm, stiff), TINY)
+        v = u - c
+        return 0.5 * total(self.comm, v * product(self.stiffness, v) + c * sums * (2 * v + c)) + load
 
     def _stiffness_of_rows(self) -> tuple[np.ndarray, np.ndarray]:
         """|A_ii| and A 1 at owned dofs, which is 0 where it is round-off."""
-        one, sums = self._constant.duplicate(), self._constant.duplicate()
-        self.stiffness.getDiagonal(one)
-        stiff = np.abs(one.array)
-        one.set(1.0)
-        self.stiffness.mult(one, sums)
-        found = np.where(np.abs(sums.array_r) > CANCELLED * stiff, sums.array_r, 0.0)
-        for vector in (one, sums):
-            vector.destroy()
-        return stiff, found
+        self.stiffness.getDiagonal(self._scratch)
+        stiff, sums = np.abs(self._scratch.array), product(self.stiffness, 1.0)
+        return stiff, np.where(np.abs(sums) > CANCELLED * stiff, sums, 0.0)
 
     def penalty_energy(self) -> float:
         """I((u - g)^+ ^2, 1)/(2 eps)."""

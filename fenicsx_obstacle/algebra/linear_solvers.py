@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import numpy as np
@@ -117,43 +118,29 @@ def _call(solve: Callable[[], object]) -> None:
         raise raised
 
 
-class defaults:
+@contextmanager
+def overriding(options: Mapping[str, Any]) -> Iterator[None]:
+    """Options that hold whatever the user has set on the command line, which returns afterwards.
+
+    Args:
+        options: With their prefix; None or "" for one without a value.
+    """
+    database = PETSc.Options()
+    before = {key: database.getString(key) for key in options if database.hasName(key)}
+    for key, value in options.items():
+        database[key] = value
+    try:
+        yield
+    finally:
+        for key in options:
+            database.delValue(key)
+        for key, value in before.items():
+            database[key] = value
+
+
+def defaults(prefix: str, options: Mapping[str, Any]) -> AbstractContextManager[None]:
     """Options that hold unless the user has set them, and are gone afterwards."""
-
-    def __init__(self, prefix: str, options: Mapping[str, Any]):
-        self.database = PETSc.Options()
-        self.values = {prefix + key: value for key, value in options.items() if not self.database.hasName(prefix + key)}
-
-    def __enter__(self) -> None:
-        for key, value in self.values.items():
-            self.database[key] = value
-
-    def __exit__(self, *error: object) -> None:
-        for key in self.values:
-            self.database.delValue(key)
-
-
-class overriding:
-    """Options that hold whatever the user has set on the command line, which returns afterwards."""
-
-    def __init__(self, options: Mapping[str, Any]):
-        """Set nothing yet.
-
-        Args:
-            options: With their prefix; None or "" for one without a value.
-        """
-        self.database, self.values = PETSc.Options(), options
-
-    def __enter__(self) -> None:
-        self.before = {key: self.database.getString(key) for key in self.values if self.database.hasName(key)}
-        for key, value in self.values.items():
-            self.database[key] = value
-
-    def __exit__(self, *error: object) -> None:
-        for key in self.values:
-            self.database.delValue(key)
-        for key, value in self.before.items():
-            self.database[key] = value
+    return overriding({prefix + key: value for key, value in options.items() if not user_has_set(prefix + key)})
 
 
 def user_has_set(option: str) -> bool:

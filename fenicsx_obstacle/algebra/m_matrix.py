@@ -6,6 +6,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.products import product
 from fenicsx_obstacle.parallel import largest, total
 
 ROUND_OFF = 1e-12  # of the diagonal: the legs of a right angle give zero up to this
@@ -17,13 +18,11 @@ def is_symmetric(A: PETSc.Mat) -> bool:
     x, random = A.createVecRight(), PETSc.Random().create(A.comm)
     random.setInterval((-1.0, 1.0))
     x.setRandom(random)
-    direct, transposed = A.createVecLeft(), A.createVecLeft()
-    A.mult(x, direct)
-    A.multTranspose(x, transposed)
+    direct, transposed = (product(A, x.array_r, transposed=way) for way in (False, True))
     A.getDiagonal(x)
-    size = np.abs(x.array_r) + np.abs(direct.array_r) + np.abs(transposed.array_r)
-    apart = total(A.comm.tompi4py(), ~(np.abs(direct.array_r - transposed.array_r) <= ROUND_OFF * size))
-    for owner in (x, random, direct, transposed):
+    size = np.abs(x.array_r) + np.abs(direct) + np.abs(transposed)
+    apart = total(A.comm.tompi4py(), ~(np.abs(direct - transposed) <= ROUND_OFF * size))
+    for owner in (x, random):
         owner.destroy()
     return apart == 0
 
@@ -55,10 +54,4 @@ def sums_nowhere_negative(A: PETSc.Mat, diagonal: np.ndarray, comm: MPI.Comm) ->
         diagonal: Of its owned rows.
         comm: Of the matrix.
     """
-    one, sums = A.createVecs()
-    one.set(1.0)
-    A.mult(one, sums)
-    holds = largest(comm, -sums.array_r / diagonal) <= ROUND_OFF
-    for vector in (one, sums):
-        vector.destroy()
-    return holds
+    return largest(comm, -product(A, 1.0) / diagonal) <= ROUND_OFF

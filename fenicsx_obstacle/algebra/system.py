@@ -21,6 +21,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.affine import Affine
 from fenicsx_obstacle.algebra.m_matrix import is_m_matrix
+from fenicsx_obstacle.algebra.products import product
 from fenicsx_obstacle.algebra.state import Law
 from fenicsx_obstacle.algebra.transfer import Transfer
 from fenicsx_obstacle.parallel import largest, smallest, total
@@ -390,25 +391,11 @@ class System:
         """Values at dofs at the points of I; inf at dofs that are none."""
         if self.to_points is None:
             return values if self.all_points else np.where(self.weights > 0, values, np.inf)
-        x, y = self.to_points.createVecs()
-        x.array[:] = values
-        self.to_points.mult(x, y)
-        found = y.array.copy()
-        for vector in (x, y):
-            vector.destroy()
-        return found
+        return product(self.to_points, values)
 
     def from_points(self, values: np.ndarray) -> np.ndarray:
         """The transpose of `at_points`: forces at points of I as forces at dofs."""
-        if self.to_points is None:
-            return values
-        x, y = self.to_points.createVecs()
-        y.array[:] = values
-        self.to_points.multTranspose(y, x)
-        found = x.array.copy()
-        for vector in (x, y):
-            vector.destroy()
-        return found
+        return values if self.to_points is None else product(self.to_points, values, transposed=True)
 
     def active_dofs(self, active: np.ndarray) -> np.ndarray:
         """Dofs on which contact at these points of I acts."""

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from petsc4py import PETSc
 
+from fenicsx_obstacle.algebra.products import product
+
 Injection = Callable[[np.ndarray], np.ndarray]
 
 
@@ -24,26 +26,12 @@ class Transfer:
 
     def interpolate(self, coarse: np.ndarray) -> np.ndarray:
         """P times owned coarse values (collective)."""
-        right, left = self.P.createVecs()
-        right.array[:] = coarse
-        self.P.mult(right, left)
-        return _taken(left, right)
+        return product(self.P, coarse)
 
     def restrict(self, fine: np.ndarray) -> np.ndarray:
         """The transpose of P times owned fine values (collective)."""
-        right, left = self.P.createVecs()
-        left.array[:] = fine
-        self.P.multTranspose(left, right)
-        return _taken(right, left)
+        return product(self.P, fine, transposed=True)
 
     def all_of(self, coarse: np.ndarray) -> np.ndarray:
         """Whether a condition on coarse nodes holds at all those that a fine node is interpolated from (collective)."""
         return self.interpolate((~coarse).astype(float)) == 0
-
-
-def _taken(result: PETSc.Vec, other: PETSc.Vec) -> np.ndarray:
-    """The owned values of a vector; both vectors are freed."""
-    values = result.array.copy()
-    result.destroy()
-    other.destroy()
-    return values

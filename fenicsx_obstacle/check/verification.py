@@ -12,9 +12,9 @@ from enum import Enum, StrEnum
 from typing import Any
 
 import numpy as np
-from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN
+from fenicsx_obstacle.algebra.products import absolute_product
 from fenicsx_obstacle.algebra.stopping import may_be_left, round_off, small_correction
 from fenicsx_obstacle.check.finding import Finding, violated
 from fenicsx_obstacle.check.other_units import other_units, reversed_rows, solved
@@ -172,19 +172,6 @@ class State:
         return largest(comm, values) - smallest(comm, values)
 
 
-def _absolute(A: PETSc.Mat, values: np.ndarray) -> np.ndarray:
-    """|A| times owned values (collective)."""
-    starts, columns, entries = A.getValuesCSR()
-    absolute = PETSc.Mat().createAIJ(A.getSizes(), csr=(starts, columns, np.abs(entries)), comm=A.comm)
-    x, y = absolute.createVecs()
-    x.array[:] = values
-    absolute.mult(x, y)
-    found = y.array.copy()
-    for owner in (x, y, absolute):
-        owner.destroy()
-    return found
-
-
 def verify(problem: Problem, solution: Any, of_body: Published | None = None) -> Verification:
     """Check a solution (collective).
 
@@ -250,7 +237,7 @@ def _taken(problem: Problem, solution: Any) -> State:
     problem.residual(x, out, penalised=False)
     A = problem.jacobian(x, penalised=False)
     diagonal = A.getDiagonal()
-    stiffness, terms = diagonal.array_r.copy(), _absolute(A, np.abs(problem.w) + np.abs(problem.state.r))
+    stiffness, terms = diagonal.array_r.copy(), absolute_product(A, np.abs(problem.w) + np.abs(problem.state.r))
     for vector in (x, out, diagonal):
         vector.destroy()
     return State.of(problem, problem.in_components(u_values), p, solution.eps, size, stiffness, terms)

@@ -10,6 +10,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.data_scales import EPSILON, ROUNDOFF_MARGIN, stiffness_of
+from fenicsx_obstacle.algebra.products import product
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.discrete.contact_nodes import VectorData
 from fenicsx_obstacle.discrete.mesh_system import MeshSystem
@@ -221,17 +222,10 @@ def moves_freely(problem: System, active: np.ndarray) -> str | None:
 def _energies(problem: BodySystem, basis: np.ndarray) -> np.ndarray:
     """This rank's part of z . A z over the mean diagonal of A, for pairs of motions (collective)."""
     A = problem.matrices.stiffness
-    x, y = A.createVecs()
-    A.getDiagonal(x)
-    mean = total(problem.level.comm, np.abs(x.array_r)) / problem.level.dofs
-    images = []
-    for row in basis:
-        x.array[:] = row
-        A.mult(x, y)
-        images.append(y.array_r.copy())
-    for vector in (x, y):
-        vector.destroy()
-    found = basis @ np.array(images).T / (mean or 1.0)
+    diagonal = A.getDiagonal()
+    mean = total(problem.level.comm, np.abs(diagonal.array_r)) / problem.level.dofs
+    diagonal.destroy()
+    found = basis @ np.array([product(A, row) for row in basis]).T / (mean or 1.0)
     return (found + found.T) / 2
 
 

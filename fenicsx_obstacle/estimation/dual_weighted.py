@@ -30,6 +30,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.linear_solvers import DIRECT, GENERAL, INEXACT, LARGEST, attempt, defaults
+from fenicsx_obstacle.algebra.products import product
 from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.errors import NotConverged
@@ -72,15 +73,10 @@ def adjoint_of(
     once = problem.affine and problem.level.pair.nodal
     A = problem.matrices.stiffness if once else _stiffness(problem)
     x, b = A.createVecs()
-    x.array[:] = w
-    A.multTranspose(x, b)
-    b.array[:] = np.where(held, 0.0, q + b.array_r)
-    x.set(0.0)
+    b.array[:] = np.where(held, 0.0, q + product(A, w, transposed=True))
     _solve(problem, multigrid, active, b, x)
     z = np.where(held, 0.0, x.array_r)
-    x.array[:] = z - w
-    A.multTranspose(x, b)
-    m = np.where(held, q - b.array_r, 0.0)
+    m = np.where(held, q - product(A, z - w, transposed=True), 0.0)
     for owner in (x, b, *(() if once else (A,))):
         owner.destroy()
     return Adjoint(z, w, m)

@@ -118,10 +118,6 @@ class Voronoi(Pair):
     bounded = False
     not_positive = "the mesh is not Delaunay, so that a Voronoi area is not positive"
 
-    def pressure_on(self, cell: str) -> tuple[str, int]:
-        """Family and degree of Q_h on a cell."""
-        return ("Lagrange", self.degree) if cell == "interval" else self.pressure
-
     def cell_weights(self, corners: np.ndarray) -> np.ndarray:
         import numpy as np
 

@@ -21,6 +21,7 @@ from fenicsx_obstacle.algebra.fields import ROUNDED
 from fenicsx_obstacle.algebra.methods import method_of
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.plausibility import NEAR, displacements
+from fenicsx_obstacle.algebra.products import product
 from fenicsx_obstacle.algebra.stopping import Step, StepMonitor
 from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.data.admissible import check_admissible
@@ -270,23 +271,18 @@ class ComponentSystem(System):
             InputError: With the remedy.
         """
         A, comm = self.matrices.stiffness, self.comm
-        x, y = A.createVecRight(), A.createVecLeft()
         for k in self._bounded:
             change = np.random.default_rng(comm.rank).normal(size=self.owned) * (self._dofs[k] & ~self.fixed)
-            x.array[:] = change
-            A.mult(x, y)
-            own, others = total(comm, change * y.array_r), displacements(self, self._dofs[k].astype(int), -y.array_r)
+            forces = product(A, change)
+            own, others = total(comm, change * forces), displacements(self, self._dofs[k].astype(int), -forces)
             assert others is not None
             if total(comm, ~np.isfinite(others)) == 0:
-                x.array[:] += others
-            A.mult(x, y)
-            if total(comm, change * y.array_r) < 0 and (self.affine or own == 0):
+                forces = product(A, change + others)
+            if total(comm, change * forces) < 0 and (self.affine or own == 0):
                 raise InputError(
                     f"{self.source} component {k}: the terms with its test function have the wrong sign for a bound: "
                     "a(v, v) must be positive, and a saddle point be - p*div(v) + q*div(u), with opposite signs"
                 )
-        for vector in (x, y):
-            vector.destroy()
 
     def bounded_fields(self) -> list[np.ndarray | slice]:
         return [self._dofs[k] for k in self._bounded]
