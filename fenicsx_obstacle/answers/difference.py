@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +20,15 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.mesh.around_nodes import AroundNodes
 from fenicsx_obstacle.mesh.cells import corners, facet_corners, own_cells, sides, volumes
-from fenicsx_obstacle.mesh.points import values_of
+from fenicsx_obstacle.mesh.points import places, values_of
 from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.parallel import largest, on_root, total
 from fenicsx_obstacle.problems.solution import Solution
 from fenicsx_obstacle.signatures import checked
 
+SAME = 1e-9  # of h: nodes that are nearer are at one place
+HALF = 0.5 + 1e-9  # of a contact node; of P2 there are values of 1/2 with round-off
+INWARD = 1e-5  # of the way to the middle of a cell
 _EXPECTED = "a Solution, or the folder of a saved one"
 
 
@@ -50,15 +55,21 @@ def compare(a: Solution | str | Path, b: Solution | str | Path) -> dict[str, Any
     if a.level.mesh.geometry.dim != b.level.mesh.geometry.dim:
         raise InputError("compare: the results have meshes of different dimensions")
     fine, coarse = (a, b) if a.plain.level.dofs >= b.plain.level.dofs else (b, a)
-    points, mine = _everywhere(fine)
-    there = {"u": coarse.values(points)[mine]}
+    points, inward, mine = _everywhere(fine)
+
+    def at_nodes(values: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        if not inward.any():
+            return values(points)[mine]
+        return (2 * values(points + inward) - values(points + 2 * inward))[mine]
+
+    there = {"u": at_nodes(coarse.values)}
     a, b, fine, coarse = a.plain, b.plain, fine.plain, coarse.plain
     comm, own = fine.level.comm, fine.level.owned
     for name in ("pressure", "contact"):
-        there[name] = values_of(coarse.functions()[name], points, level=coarse.level)[mine]
+        there[name] = at_nodes(partial(values_of, coarse.functions()[name], level=coarse.level))
     outside = np.isnan(there["u"])
     difference = {name: np.where(outside, 0.0, getattr(fine, name).x.array - there[name]) for name in there}
-    ours, theirs = fine.contact.x.array > 0.5, there["contact"] > 0.5
+    ours, theirs = fine.contact.x.array > HALF, there["contact"] > HALF
     return {
         "u": _norms(fine, difference["u"]),
         "pressure": {key: value for key, value in _norms(fine, difference["pressure"]).items() if key in ("l2", "max")},
@@ -85,12 +96,24 @@ def read(folder: Path) -> Solution:
     return Answer.read(folder) if of_scene else Solution.read(folder)
 
 
-def _everywhere(answer: Solution) -> tuple[np.ndarray, slice]:
-    """The local nodes of all ranks, shape (n, 3), and which are those of this one (collective)."""
-    mine, comm = answer.plain.level.points.T, answer.level.comm
-    parts = comm.allgather(mine)
-    start = sum(len(part) for part in parts[: comm.rank])
-    return np.vstack(parts), slice(start, start + len(mine))
+def _everywhere(answer: Solution) -> tuple[np.ndarray, np.ndarray, slice]:
+    """The local nodes of all ranks (collective).
+
+    Returns:
+        Their coordinates, shape (n, 3); short ways from there into a cell of the node, for nodes at one place, on both
+        sides of a slit, and 0 for the others; and which nodes are those of this rank.
+    """
+    level = answer.plain.level
+    comm, dofs, inward = level.comm, releases.cell_dofs(level.V), np.zeros((len(level.points.T), 3))
+    inward[dofs.ravel()] = INWARD * np.repeat(corners(level.mesh).mean(axis=1), dofs.shape[1], axis=0)
+    parts = comm.allgather((places(level), inward - INWARD * level.points.T))
+    nodes, inward = (np.vstack(each) for each in zip(*parts, strict=True))
+    near = SAME * level.h
+    pairs = cKDTree(nodes[:, :3]).query_pairs(near, output_type="ndarray")
+    apart = pairs[np.linalg.norm(np.diff(nodes[pairs, 3:], axis=1)[:, 0], axis=1) > near]
+    inward[np.setdiff1d(np.arange(len(nodes)), apart)] = 0.0
+    start = sum(len(one) for one, _ in parts[: comm.rank])
+    return nodes[:, :3], inward, slice(start, start + len(level.points.T))
 
 
 def _norms(answer: Solution, nodal: np.ndarray) -> dict[str, float]:
@@ -148,7 +171,7 @@ def _hausdorff(a: Solution, b: Solution) -> float | None:
     sets = []
     for answer in (a, b):
         own = answer.level.owned
-        mine = answer.level.points.T[:own][answer.contact.x.array[:own] > 0.5]
+        mine = answer.level.points.T[:own][answer.contact.x.array[:own] > HALF]
         sets.append(np.vstack(answer.level.comm.allgather(mine)))
     if not all(len(points) for points in sets):
         return None

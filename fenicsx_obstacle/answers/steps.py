@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.hdf5 import arrays
 from fenicsx_obstacle.io.paraview import to_hdf5
 from fenicsx_obstacle.mesh.levels import Level
+from fenicsx_obstacle.mesh.points import places
 from fenicsx_obstacle.parallel import agree, gathered, largest, on_root
 from fenicsx_obstacle.safe_writing import replaced
 
@@ -119,14 +120,26 @@ def extrapolation(t: float, times: Sequence[float]) -> list[float]:
     return [float(np.prod([(t - s) / (one - s) for s in times if s != one])) for one in times]
 
 
-def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, time_history: TimeHistory) -> None:
+def write_checkpoint(
+    folder: Path, model: Model, level: Level, steps: Steps, time_history: TimeHistory, mesh: Mapping[str, np.ndarray]
+) -> None:
     """Write the state into a folder, in one step, with the words of the data (collective).
+
+    Args:
+        folder: For the state.
+        model: Of the scene.
+        level: The mesh.
+        steps: The accepted steps.
+        time_history: What was recorded of them.
+        mesh: `points` and `cells` in the order of the frames, on rank 0.
 
     Raises:
         InputError: If it cannot be written.
     """
     own, comm = level.owned, level.comm
-    fields = {"points": level.points.T[:own], **{f"u{k}": u[:own] for k, u in enumerate(steps.u_values)}}
+    nodes = places(level)[:own]
+    fields = {"points": nodes[:, :3], "around": nodes[:, 3:]}
+    fields |= {f"u{k}": u[:own] for k, u in enumerate(steps.u_values)}
     if steps.velocity is not None:
         fields["velocity"] = steps.velocity[:own]
     found = {name: gathered(comm, values) for name, values in fields.items()}
@@ -140,6 +153,7 @@ def write_checkpoint(folder: Path, model: Model, level: Level, steps: Steps, tim
         arrays["data"] = np.array(json.dumps(_in_words(model)).encode())
         arrays |= {"eps": np.array(steps.eps)} if steps.eps is not None else {}
         arrays |= {f"frames/{name}": values for name, values in to_arrays(time_history.frames).items()}
+        arrays |= {f"mesh/{name}": mesh[name] for name in ("points", "cells")}
         content = to_hdf5(arrays)
         try:
             with replaced(folder / NAME) as scratch:
@@ -161,26 +175,25 @@ def _in_words(model: Model) -> dict[str, str]:
     return {place.removeprefix(f"{model.source}: "): text for place, text in words.items()}
 
 
-def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, TimeHistory]:
+def read_checkpoint(
+    folder: Path, model: Model, level: Level, mesh: Mapping[str, np.ndarray]
+) -> tuple[Steps, TimeHistory]:
     """The state that a folder holds (collective).
 
     Args:
         folder: Of a saved or of an interrupted solve.
         model: Of the scene that goes on.
         level: The same mesh, however it is distributed.
+        mesh: `points` and `cells` in the order that frames have now, on rank 0.
 
     Raises:
         InputError: If there is none, or it is of another mesh or of other data.
     """
     place, comm, moments = folder / NAME, level.comm, model.time
     assert moments is not None
-    stored, time_history = on_root(comm, _load, place)
-    points = gathered(comm, level.points.T[: level.owned])
-    if level.pair.nested_hierarchy:
-        time_history = time_history.renumbered(stored, {} if points is None else {"points": points})
-    else:  # they are on cut cells
-        time_history = TimeHistory(time_history.rows, ())
-    distance, found = cKDTree(stored["points"]).query(level.points.T)
+    stored, time_history, stored_mesh = on_root(comm, _load, place)
+    nodes = places(level)[:, : 3 + stored["around"].shape[1]]
+    distance, found = cKDTree(np.hstack([stored["points"], stored["around"]])).query(nodes)
     elsewhere = bool(np.any(distance > NEAR * level.h)) or len(stored["points"]) != level.dofs
     with agree(comm):
         if elsewhere:
@@ -203,24 +216,31 @@ def read_checkpoint(folder: Path, model: Model, level: Level) -> tuple[Steps, Ti
     steps.times = [float(t) for t in stored["times"][: steps.depth + 1]]
     steps.u_values = past[: steps.depth + 1]
     steps.eps = float(stored["eps"]) if "eps" in stored else None
+    time_history = time_history.renumbered(stored_mesh, mesh)
     if steps.times[0] >= moments.end * (1 - NO_STEP):
         raise InputError(f"{place}: stands at {moments.name} = {steps.times[0]:g} already; set a later [time] end")
     return steps, time_history
 
 
-def _load(place: Path) -> tuple[dict[str, np.ndarray], TimeHistory]:
+def _load(place: Path) -> tuple[dict[str, np.ndarray], TimeHistory, dict[str, np.ndarray]]:
+    """The state, what was recorded of the steps, and the mesh in the order of its frames (one rank)."""
     try:
         content = io.BytesIO(place.read_bytes())
     except (OSError, ValueError) as error:
         raise InputError(f"{place}: no state to continue from: {getattr(error, 'strerror', error)}") from None
     try:
         found = arrays(content)
-        frames = {name.removeprefix("frames/"): found.pop(name) for name in [*found] if name.startswith("frames/")}
+        frames, mesh = (
+            {name.removeprefix(group): found.pop(name) for name in [*found] if name.startswith(group)}
+            for group in ("frames/", "mesh/")
+        )
         rows, times = json.loads(found.pop("rows").item()), found["times"]
         count, past = len(found["points"]), [f"u{k}" for k in range(len(times))]
         if not past or times.dtype.kind != "f" or times.shape != (len(past),):
             raise ValueError("it holds no state")
-        for name in ("points", "velocity", *past):
+        if not mesh:  # of version 0.2
+            mesh, found["around"] = {"points": found["points"]}, np.empty((count, 0))
+        for name in ("points", "around", "velocity", *past):
             if name in found or name in past:
                 shape, kind = found[name].shape, found[name].dtype.kind
                 if kind != "f" or shape[:1] != (count,) or (name == "points" and shape != (count, 3)):
@@ -230,6 +250,8 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], TimeHistory]:
         whole = isinstance(rows, list) and all(isinstance(row, dict) and {"step", "t"} <= set(row) for row in rows)
         if not rows or not whole:
             raise ValueError("its rows are none")
-        return found, TimeHistory(tuple(rows), tuple(from_arrays(frames, count)))
+        if np.any(mesh.get("cells", 0) >= len(mesh["points"])):
+            raise ValueError("a cell has no point")
+        return found, TimeHistory(tuple(rows), tuple(from_arrays(frames, len(mesh["points"])))), mesh
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: is damaged: {error}") from None

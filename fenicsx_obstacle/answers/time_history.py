@@ -71,12 +71,13 @@ class TimeHistory:
         """With frames in the order of another numbering of the same mesh; empty ones where there is none.
 
         Args:
-            old: `points` and, of fields by cell, `cells` in the order of the frames.
+            old: `points` and `cells` in the order of the frames; states of version 0.2 have no cells.
             new: The same in the other order.
         """
         if not new:
             return TimeHistory(self.rows, tuple(Frame(frame.t, {}) for frame in self.frames))
-        order = {False: cKDTree(old["points"]).query(new["points"])[1]}
+        nodes = _places(old)
+        order = {False: cKDTree(nodes).query(_places(new)[:, : nodes.shape[1]])[1]}
         if any(name in frame.fields for frame in self.frames for name in BY_CELL):
             before, after = (mesh["points"][mesh["cells"]].mean(axis=1) for mesh in (old, new))
             order[True] = cKDTree(before).query(after)[1]
@@ -176,6 +177,16 @@ class Course:
         """`time` of a record, as in answer.json."""
         return {"t": self.rows[-1]["t"], "name": self.moments.name, "scheme": self.moments.scheme,
                 "steps": len(self.rows) - 1, "rejected": 0}  # fmt: skip
+
+
+def _places(mesh: Fields) -> np.ndarray:
+    """Coordinates of the nodes and, with cells, the mean of the middles of those around each, as `points.places`."""
+    points, cells = mesh["points"], mesh.get("cells")
+    if cells is None:
+        return points
+    middles = np.repeat(points[cells].mean(axis=1), cells.shape[1], axis=0)
+    sums = [np.bincount(cells.ravel(), values, len(points)) for values in (*middles.T, np.ones(len(middles)))]
+    return np.column_stack([points, *(part / sums[-1] for part in sums[:-1])])
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from fenicsx_obstacle.data.time_discretization import EQUILIBRIA, INERTIA, NO_ST
 from fenicsx_obstacle.discrete.problem import Problem
 from fenicsx_obstacle.discrete.residence_time import check_drift_in_time
 from fenicsx_obstacle.errors import InputError, NotConverged
-from fenicsx_obstacle.io.folder import frame_of
+from fenicsx_obstacle.io.folder import frame_of, gather
 from fenicsx_obstacle.parallel import first_given, largest, smallest, total
 from fenicsx_obstacle.problems.solve import State, state_of
 from fenicsx_obstacle.text import one_line
@@ -216,7 +216,8 @@ class TimeStepper:
         problem, moments = self.problem, self.moments
         self.course = Course(moments)
         if restart is not None:
-            self.steps, time_history = read_checkpoint(restart, problem.model, problem.level)
+            mesh = gather(self.state.fields)
+            self.steps, time_history = read_checkpoint(restart, problem.model, problem.level, mesh)
             self.course = Course(moments, time_history)
             if self._penalty is not None and self._penalty.automatic and self.steps.eps is not None:
                 self._penalty.eps = min(self._penalty.eps, self.steps.eps)
@@ -376,4 +377,5 @@ class TimeStepper:
     def _keep(self, folder: Path | None) -> None:
         if folder is not None:
             self.steps.eps = None if self._penalty is None else self._penalty.eps
-            write_checkpoint(folder, self.problem.model, self.problem.level, self.steps, self.course.history)
+            model, level, mesh = self.problem.model, self.problem.level, gather(self.state.fields)
+            write_checkpoint(folder, model, level, self.steps, self.course.history, mesh)

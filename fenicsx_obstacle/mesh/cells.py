@@ -8,9 +8,11 @@ from math import factorial
 import basix
 import numpy as np
 from dolfinx import mesh as dmesh
+from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.forms.pairs import SIMPLICES
+from fenicsx_obstacle.mesh.around_nodes import over_ranks
 
 
 def corners(mesh: dmesh.Mesh, cells: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -98,17 +100,24 @@ def given_cells(mesh: dmesh.Mesh) -> np.ndarray:
 
 
 def sides(mesh: dmesh.Mesh, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The sides of owned cells that make up given facets.
+    """The sides of owned cells that make up given facets (collective).
 
-    A facet within the domain has two, maybe on two ranks; each counts half.
+    A facet within the domain has two, maybe on two ranks, and where surfaces or wires branch off more; all count alike.
 
     Returns:
         Cell, number of the facet in it, and share in the facet, of each side.
     """
     table = cell_facets(mesh)[: own_cells(mesh)]
     cells, numbers = np.nonzero(np.isin(table, facets))
-    outside = np.isin(table[cells, numbers], dmesh.exterior_facet_indices(mesh.topology))
-    return cells, numbers, np.where(outside, 1.0, 0.5)
+    return cells, numbers, 1.0 / cells_at_facets(mesh)[table[cells, numbers]]
+
+
+def cells_at_facets(mesh: dmesh.Mesh) -> np.ndarray:
+    """How many cells of all ranks meet at each local facet (collective)."""
+    index_map = mesh.topology.index_map(mesh.topology.dim - 1)
+    count = index_map.size_local + index_map.num_ghosts
+    mine = np.bincount(cell_facets(mesh)[: own_cells(mesh)].ravel(), minlength=count).astype(float)
+    return over_ranks(index_map, mesh.comm, mine, PETSc.InsertMode.ADD)
 
 
 def volumes(corners: np.ndarray) -> np.ndarray:

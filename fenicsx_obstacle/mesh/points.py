@@ -13,7 +13,7 @@ from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.mesh.around_nodes import AroundNodes
-from fenicsx_obstacle.mesh.cells import corners, duals
+from fenicsx_obstacle.mesh.cells import corners, duals, own_cells
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.reference_cell import Reference
 from fenicsx_obstacle.text import counted
@@ -70,6 +70,16 @@ def nearby(mesh: dmesh.Mesh, points: np.ndarray, padding: float) -> tuple[np.nda
         weights = Reference(mesh).pulled_back(cells, points[rows])
     gap = np.linalg.norm(np.einsum("pd,pdi->pi", weights[:, 1:], edges[back]) - there, axis=1)
     return rows, cells, weights, np.zeros(len(rows)) if curved else gap, size
+
+
+def places(level: Level) -> np.ndarray:
+    """Coordinates of the local nodes of V, and the mean of the middles of the cells around each, shape (nodes, 6): of
+    two nodes at one place, on both sides of a slit, the latter differ (collective)."""
+    own = slice(own_cells(level.mesh))
+    dofs, middles = releases.cell_dofs(level.V)[own], corners(level.mesh, own).mean(axis=1)
+    around = AroundNodes(level.V, dofs)
+    sums = [around.sums(np.broadcast_to(values[:, None], dofs.shape)) for values in (*middles.T, np.ones(len(dofs)))]
+    return np.column_stack([level.points.T, *(part / sums[3] for part in sums[:3])])
 
 
 def spread(level: Level, forces: Sequence[tuple[tuple[float, ...], float]], place: str) -> np.ndarray:

@@ -9,7 +9,8 @@ from dolfinx import mesh as dmesh
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import agree, total
+from fenicsx_obstacle.mesh.cells import cells_at_facets
+from fenicsx_obstacle.parallel import agree, largest, total
 from fenicsx_obstacle.text import counted, shown
 
 _REMEDY = "create MeshTags of this mesh, with dolfinx.mesh.meshtags"
@@ -46,10 +47,11 @@ def check_tags(tags: Any, mesh: dmesh.Mesh, dim: int, place: str) -> None:
 
 
 def check_both_sides(mesh: dmesh.Mesh, facets: np.ndarray | None, place: str) -> None:
-    """Reject facets inside the domain of which this rank has the cell on one side only: integrals leave them out
-    (collective).
+    """Reject facets inside the domain that integrals leave out: those of which this rank has the cell on one side only,
+    and those at which more than two cells meet (collective).
 
-    It is so between the cells of two ranks, on a mesh without ghost cells.
+    The first are between the cells of two ranks, on a mesh without ghost cells, the others where surfaces or wires
+    branch.
 
     Args:
         mesh: The mesh.
@@ -60,6 +62,12 @@ def check_both_sides(mesh: dmesh.Mesh, facets: np.ndarray | None, place: str) ->
         InputError: On all ranks, with the remedy.
     """
     dim = mesh.topology.dim
+    most = largest(mesh.comm, cells_at_facets(mesh)[slice(None) if facets is None else facets])
+    if most > 2:
+        raise InputError(
+            f"{place}: {most:.0f} cells meet at a facet there; a flux, a spring, an obstacle and the integrals "
+            "of a form are for facets with one or two cells"
+        )
     mesh.topology.create_connectivity(dim - 1, dim)
     one_sided = np.diff(mesh.topology.connectivity(dim - 1, dim).offsets) == 1
     one_sided[mesh.topology.index_map(dim - 1).size_local :] = False  # their owners integrate over them
