@@ -51,19 +51,18 @@ def penalty(
         A linear form in v.
 
     Raises:
-        InputError: If eps is not positive, no obstacle is given or one is infinite, or the element of v has no nodal
-            rule (P2 on triangles and tetrahedra, degree 3 and above).
+        InputError: If eps is not positive, u or v is no scalar, no obstacle is given or one is infinite, not continuous
+            or on another mesh, or the element of v has no nodal rule (P2 on triangles and tetrahedra, degree 3 and
+            above, other elements than Lagrange's).
     """
-    if lower is None and upper is None:
-        raise InputError("penalty: give an obstacle, lower= or upper=")
-    arguments = ufl.algorithms.extract_arguments(v)
+    arguments = ufl.algorithms.extract_arguments(v) if isinstance(v, ufl.core.expr.Expr) else []
     if not arguments:
         raise InputError("penalty: v must be a test function, or a scalar part of one")
-    for g in (lower, upper):
-        if g is not None:
-            _check_finite(g)
+    for name, value in (("u", u), ("v", v)):
+        _check_scalar(value, f"penalty: {name}")
     space = arguments[0].ufl_function_space()
     domain = space.ufl_domain()
+    _check_obstacles("penalty", lower, upper, domain, at_nodes=rule is None)
     measure = ufl.Measure("dx", domain=domain) if measure is None else measure
     if rule is None:
         cell = releases.called(domain.ufl_cell().cellname)
@@ -75,6 +74,7 @@ def penalty(
                 f"penalty: v has degree {degree} on a {cell}: the nodes have no quadrature rule with positive weights; "
                 "take degree 1, or degree 2 with ObstacleProblem"
             )
+        _check_nodes(space, degree)
         rule = nodal_rule(cell, degree)
     dI = rule.on(measure)
     eps = _constant(domain, eps)
@@ -109,11 +109,14 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
         Function of the same space with the nodal values of p.
 
     Raises:
-        InputError: If eps is not positive or no obstacle is given.
+        InputError: If eps is not positive or no number, u is no scalar Function, no obstacle is given or one is
+            infinite, not continuous or on another mesh.
     """
-    if lower is None and upper is None:
-        raise InputError("contact_pressure: give an obstacle, lower= or upper=")
+    _check_scalar(u, "contact_pressure: u")
+    if not isinstance(u, fem.Function) or u.function_space.component():
+        raise InputError(f"contact_pressure: u = {shown(u)}: expected a Function; of a part take u.sub(0).collapse()")
     space = u.function_space
+    _check_obstacles("contact_pressure", lower, upper, space.mesh.ufl_domain())
     value = _positive(getattr(eps, "value", eps), "contact_pressure: eps")
     p = fem.Function(space, name="p")
     u_values = u.x.array
@@ -134,23 +137,63 @@ def _nodal(g: Any, space: Any) -> Any:
     return nodal.x.array
 
 
-def _check_finite(g: Any) -> None:
-    """Reject an obstacle that is infinite at nodes: where it is interpolated, the nodes beside them would have none
-    (collective).
+def _check_scalar(value: Any, place: str) -> None:
+    """Reject a vector or a matrix."""
+    shape = getattr(value, "ufl_shape", ())
+    if shape != ():
+        raise InputError(f"{place} has the shape {shape}: expected a scalar, such as u[0] or ufl.dot(u, n)")
+
+
+def _check_obstacles(name: str, lower: Any, upper: Any, domain: Any, *, at_nodes: bool = True) -> None:
+    """Reject obstacles that have no values at the nodes of a mesh (collective).
+
+    Infinite ones are interpolated: the nodes beside them would have none.
 
     Raises:
         InputError: With the remedy.
     """
-    if not isinstance(g, ufl.core.expr.Expr):
-        bad = not np.isfinite(_real(g, "penalty: the obstacle"))
-    else:
-        functions = [one for one in ufl.algorithms.extract_coefficients(g) if isinstance(one, fem.Function)]
-        bad = any(total(one.function_space.mesh.comm, ~np.isfinite(one.x.array)) > 0 for one in functions)
-    if bad:
-        raise InputError(
-            "penalty: the obstacle is not finite: leave it out where it is infinite everywhere; at nodes without an "
-            "obstacle take a number far beyond u, such as -1e20 below and 1e20 above"
-        )
+    if lower is None and upper is None:
+        raise InputError(f"{name}: give an obstacle, lower= or upper=")
+    for side, g in (("lower", lower), ("upper", upper)):
+        if g is None:
+            continue
+        if not isinstance(g, ufl.core.expr.Expr):
+            bad = not np.isfinite(_real(g, f"{name}: the obstacle"))
+        else:
+            _check_scalar(g, f"{name}: {side}")
+            if any(one != domain for one in ufl.domain.extract_domains(g)):
+                raise InputError(f"{name}: {side} is on another mesh than u: interpolate it into the space of u")
+            functions = [one for one in ufl.algorithms.extract_coefficients(g) if isinstance(one, fem.Function)]
+            if at_nodes and not all(one.function_space.dofmap.dof_layout.entity_dofs(0, 0) for one in functions):
+                what = "is not continuous, so that it has several values at a node"
+                raise InputError(f"{name}: a Function in {side} {what}: interpolate it into the space of u")
+            bad = any(total(one.function_space.mesh.comm, ~np.isfinite(one.x.array)) > 0 for one in functions)
+        if bad:
+            raise InputError(
+                f"{name}: the obstacle is not finite: leave it out where it is infinite everywhere; at nodes without "
+                "an obstacle take a number far beyond u, such as -1e20 below and 1e20 above"
+            )
+
+
+def _check_nodes(space: Any, degree: int) -> None:
+    """Reject elements whose dofs are not values at the points of the rule (local).
+
+    Raises:
+        InputError: With the remedy.
+    """
+    if not isinstance(space, fem.FunctionSpace):
+        return
+    parts = [space] if space.num_sub_spaces == 0 or space.dofmap.bs > 1 else map(space.sub, range(space.num_sub_spaces))
+    cell, dim = releases.cell_name(space.mesh), space.mesh.topology.dim
+    for part in parts:
+        layout = part.dofmap.dof_layout
+        points = len(nodal_rule(cell, degree).points) if has_nodal_rule(cell, degree) else 0
+        on_facets = not (layout.entity_dofs(0, 0) or layout.entity_dofs(dim, 0))  # Crouzeix and Raviart
+        if layout.num_dofs != points or on_facets:
+            raise InputError(
+                f"penalty: v is of {space.ufl_element()}, whose dofs are not all values at the nodes of degree {degree}"
+                ": take Lagrange elements, and for a part of a mixed space rule=nodal_rule(cell, degree of this part)"
+            )
 
 
 def _constant(domain: Any, eps: Any) -> Any:
@@ -161,7 +204,8 @@ def _constant(domain: Any, eps: Any) -> Any:
 
 
 def _real(value: Any, place: str) -> float:
-    if isinstance(value, bool | str) or not hasattr(value, "__float__") or np.size(value) != 1:
+    unknown = isinstance(value, bool | str | ufl.core.expr.Expr) and not hasattr(value, "value")
+    if unknown or not hasattr(value, "__float__") or np.ndim(value) != 0:
         raise InputError(f"{place} = {shown(value)}: expected a number, a Constant, a Function or UFL")
     return float(value)
 
