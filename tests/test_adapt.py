@@ -32,6 +32,7 @@ def test_tolerance(name, tol):
 def test_a_saved_tolerance_reads_back(folder):
     """A solution read from files has the same bound, errors and meshes as the one that was saved, as typed values."""
     answer = solve(catalogue.scene("disk_flat"), tol=0.2)
+    assert "tolerance 0.2 is reached, on mesh" in answer.summary()
     answer.save(folder / "answer")
     again = Answer.read(folder / "answer")
     assert again.bound.record == answer.bound.record and again.bound.indicator is None
@@ -128,6 +129,7 @@ def test_fichera_corner():
     last = path[-1]
     before = next(one for one in reversed(path) if 3 * one.dofs <= last.dofs)
     assert answer.adaptive.reached and answer.bound.words == "certified on the polygon of the mesh"
+    assert "reached, on the polygon of the mesh, on mesh" in answer.summary()
     assert np.log(before.total / last.total) / np.log(last.dofs / before.dofs) > 0.3
     uniform = solve(fine, bound=True)
     assert uniform.dofs == 4401

@@ -9,7 +9,6 @@ from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.effects.field import ByCells
 from fenicsx_obstacle.estimation.clipped import Clipped, _ClippedCells
 from fenicsx_obstacle.parallel import on_root
-from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import COMM
 
 WAVE = "0.1*sin(16*pi*x)"  # 0 at all nodes of 8 cells, P1 and P2
@@ -44,16 +43,6 @@ def test_obstacles_farther_apart_keep_the_certificate(shape):
     """A lower obstacle that v_h stays above leaves the bound as it was."""
     assert between(shape, FAR, lower=-1.0).guaranteed
     assert between(shape, FAR, lower=f"-1 + {WAVE}").guaranteed
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("element", ["P1", "P2"])
-@pytest.mark.parametrize("cells", [6, 16])
-def test_contact_with_both_obstacles_keeps_the_certificate(element, cells):
-    """A membrane that touches a lower and an upper obstacle in different cells."""
-    scene = catalogue.scene("two_obstacle_square").change({"mesh.cells": cells, "solve.element": element})
-    answer = solve(scene, bound=True)
-    assert answer.bound.guaranteed and answer.record["bound"]["effectivity"] >= 1
 
 
 def test_two_flat_obstacles_that_touch():

@@ -41,12 +41,10 @@ def line(name, order, *, first=0.1, rows=5, element="P1", lucky=()):
 EXACT = {"choice": "", "exact": True}
 
 
-@pytest.mark.parametrize("exponent", np.arange(-3, 9, 0.5))
-def test_units_have_no_exponents(exponent):
-    """Two digits and a unit, from milliseconds to years, from MB to PB."""
-    for text in (duration(1.19 * 10**exponent), megabytes(5.6 * 10**exponent)):
-        assert "e+" not in text and text.split()[1] in ("s", "min", "h", "days", "MB", "GB", "TB")
+def test_units_have_no_exponents():
+    """Two digits and a unit."""
     assert (megabytes(5.6e6), megabytes(560e3), duration(119.0)) == ("5.6 TB", "560 GB", "120 s")
+    assert (megabytes(5.6), duration(1.19e-3), duration(1.19e8)) == ("6 MB", "0.0012 s", "1400 days")
 
 
 def test_price_of_a_digit_is_ten_to_the_order():
