@@ -115,9 +115,7 @@ def test_no_known_error_is_above_its_bound(name):
 IN_BALANCE = {name: SCENES[name] for name in ("contact on a foundation", "data that jump", "string on a foundation",
                                               "solid", "plane contact")}  # fmt: skip
 for name in ("ball", "two_obstacle_square"):
-    for perturb in (0.0, 0.3):
-        changes = {"mesh.cells": 32, "mesh.perturb": perturb}
-        IN_BALANCE[f"{name}, perturb = {perturb}"] = catalogue.scene(name).change(changes)
+    IN_BALANCE[f"{name}, perturbed"] = catalogue.scene(name).change({"mesh.cells": 32, "mesh.perturb": 0.3})
 
 
 @pytest.mark.parametrize("name", IN_BALANCE)
@@ -137,7 +135,7 @@ def test_the_flux_is_in_balance(name):
     sides = simplices.facets.ravel()
     both, times = np.bincount(sides, weights=flux.normal.ravel()), np.bincount(sides)
     assert largest(COMM, np.abs(both[times == 2])) <= 1e-14 * scale
-    assert largest(COMM, np.abs(flux.rest)) < 1e-6 or not name.startswith("ball")
+    assert largest(COMM, np.abs(flux.rest)) < 1e-6 or not name.startswith("ball,")
     parts = equilibration.parts
     through = flux.normal[parts.cells, parts.sides] - flux.force.sum(axis=1)
     assert largest(COMM, np.abs(through[parts.free])) <= 1e-14 * scale

@@ -59,16 +59,6 @@ def test_digits(value, error, words):
     assert with_error(value, error) == words
 
 
-@pytest.mark.variant
-@pytest.mark.slow
-def test_penalty_is_small_beside_the_mesh():
-    """Volume of `nsv`, int (r^2 - 0.49)^2 over r > 0.7, where parts of mesh and penalty cancelled: eps is lowered."""
-    scene = catalogue.scene("nsv").change({**COARSE, "report": {"volume": "integral(u)"}})
-    answer = solve(scene, tol=0.03, goal="volume")
-    assert within_factor_2(answer, 0.712753810854827)
-    assert answer.goal.penalty <= 0.2 * answer.goal.mesh
-
-
 def test_energy_is_guaranteed():
     """J(v_h) - S^2/2 - eta_C <= J(u) <= J(v_h): the energy of a string lies between its bounds on each mesh."""
     for cells in (4, 8, 16):
