@@ -1,10 +1,6 @@
-"""The statements of docs/bound_proofs.md: each has a function that names it, and a wrong line that a test finds."""
+"""The statements of docs/bound_proofs.md, compared with what each bounds."""
 
-import importlib
-import re
 from contextlib import closing
-from functools import reduce
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,25 +17,6 @@ from fenicsx_obstacle.estimation.rt1 import quadratics
 from fenicsx_obstacle.estimation.triangle_lattice import POINTS, SMALL
 from fenicsx_obstacle.parallel import largest, total
 from tests.conftest import COMM
-
-ROOT = Path(__file__).resolve().parent.parent
-ROW = re.compile(r"^\| \((E\d+)\) .* \| `([\w.]+)` \|$", re.MULTILINE)
-
-
-@pytest.mark.serial
-def test_statements_functions_and_mutants_name_each_other():
-    """The table, the statements, the docstrings and the comments of tests/mutants.toml have the same numbers."""
-    page = (ROOT / "docs/bound_proofs.md").read_text()
-    text, _, table = page.partition("## Statements and functions")
-    rows, mutants = ROW.findall(table), (ROOT / "tests/mutants.toml").read_text()
-    assert [number for number, _ in rows] == [f"E{k + 1}" for k in range(27)]
-    for number, function in rows:
-        module, *names = function.split(".")
-        folder = "answers" if module == "guaranteed_outputs" else "estimation"
-        found = reduce(getattr, names, importlib.import_module(f"fenicsx_obstacle.{folder}.{module}"))
-        assert f"({number})" in found.__doc__, function
-        assert f"({number})" in text, number
-        assert f"# ({number})" in mutants, number
 
 
 def energy_of_polynomials(data, cells):

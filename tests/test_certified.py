@@ -11,7 +11,6 @@ from scipy.special import j0
 
 from fenicsx_obstacle import InputError, Scene, polynomials, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
-from fenicsx_obstacle.estimation.certification import in_words
 from fenicsx_obstacle.estimation.norms import Distance
 from tests.conftest import BENCHMARKS, COMM, ON_SEVERAL_RANKS, membrane, slow_except
 
@@ -49,16 +48,13 @@ def test_an_oscillating_obstacle(element):
 EXACT = [
     {"load": 1}, {"load": "where(y < x, 5, -1)"}, {"tension": "1 + 4*x*(1 - x)*y", "load": 1},
     {"tension": "where(x < 0.503, 1e6, 1)", "boundary": SIDES}, {"tension": "1/(1.01 + sin(150*x))", "boundary": SIDES},
-    {"tension": "where(r < 0.517, 1e6, 1)", "boundary": SIDES}, {"tension": "1 + max(x, y)/9 + r", "boundary": SIDES},
-    {"load": "x^4*y^4*100"}, {"load": "floor(4*x) % 2"}, {"load": "abs(x - 0.5) + abs(x - y)"},
-    {"load": "r^2", "mesh": AROUND}, {"load": "x^3", "tension": "1 + x", "mesh": {**SQUARE, "perturb": 0.3}},
-    {"load": 1, "mesh": {"shape": "l-shape", "x": [-1, 1], "y": [-1, 1], "cells": 8}},
+    {"tension": "1 + max(x, y)/9 + r", "boundary": SIDES}, {"load": "x^4*y^4*100"}, {"load": "floor(4*x) % 2"},
+    {"load": "r^2", "mesh": AROUND}, {"load": 1, "mesh": {**AROUND, "shape": "l-shape"}},
     {"load": 1, "boundary": [{"where": "x == 0 and y <= 0.5", "value": 0}]},
     {"boundary": [{"value": "x^5 - 10*x^3*y^2 + 5*x*y^4"}]}, {"boundary": [{"value": "ln(hypot(x + 0.1, y))"}]},
     {"load": "200*(x - 1/2)", "lower": "-0.3 - x*(1 - x)", "upper": "0.3 + y^2"},
     {"load": -10, "lower": "-0.1 - abs(x - 0.47)/3 - max(r - 0.7, 0)^2"},
     {"load": 20, "upper": "0.2*(1 + sin(3*x))*y"},  # it touches beside the boundary
-    {"load": -10, "lower": "where(x <= y, -0.1, -0.15)"},  # it jumps along mesh lines
     {"load": -10, "lower": "-0.1 - floor(4*x)/20"},
     {"load": -10, "lower": "where(r < 0.7, -0.1, 0.6 - r)"},
 ]  # fmt: skip
@@ -101,24 +97,18 @@ def test_indicators(element, data, reason):
 
 
 def test_polygons():
-    """Curved domains: for the polygon, and sampled data; a true error above the bound is explained."""
+    """Curved domains: for the polygon."""
     exact = solve(Scene(mesh=DISK, tension=1, load=4, exact="1 - r^2"), bound=True)
     assert exact.bound.words == "certified on the polygon of the mesh" and not exact.bound.guaranteed
     assert bounded(mesh=DISK, load="exp(x)").bound.words == "certified on the polygon of the mesh"
-    record = dict(exact.record)
-    record["bound"] = {**record["bound"], "effectivity": 0.579}
-    text = exact.__class__(**{**vars(exact), "record": record}).summary()
-    assert "0.579 times the true one, which includes the error of the curved boundary; the bound" in text
-    both = in_words((), ("load", "obstacle", "boundary value"), polygon=True)
-    assert both == "certified on the polygon of the mesh for the sampled load, obstacle and boundary value"
 
 
 JUMPS = {
     "where(x < 0.503, 0, 1)": "(0.503, ", "where(x < 0.5, 0, 1)": "(0.5, ", "sign(x - 0.3)": "(0.3, ",
-    "floor(3*y)": "", "(x + y) % 0.7": "", "where(abs(x - 0.503) < 1e-7, 1, 0)": "(0.503, ",
+    "(x + y) % 0.7": "", "where(abs(x - 0.503) < 1e-7, 1, 0)": "(0.503, ",
     "1/(x - 0.503)": "(0.503, ", "1000 + where(x < 0.61, 0, 1)": "(0.61, ", "where(x == 0.5, 5, 0)": "(0.5, ",
     "where(x > .2, where(y < .4, 0, where(x < .7, 1, 2)), 0)": "", "where(r < 1.1, 0, 1)": "", "2*s": "(0.61, ",
-    "theta*(x - 3)": "",
+    "theta*(x - 3)": "", "1e8 + where(x < 0.53, x, x + 0.005)": "", "atan(1/(x - 0.503))": "", "atan(tan(3*x))": "",
 }  # fmt: skip
 CONTINUOUS = (
     "where(sin(x) + cos(x) < 1.47, x, 0)",  # always, which halves of an edge show and the whole edge does not
@@ -162,18 +152,6 @@ def test_parts_that_meet():
         else:
             assert solve(scene, bound=True).bound.guaranteed
     assert bounded(boundary=SIDES).bound.guaranteed
-
-
-@pytest.mark.slow
-def test_tolerances_say_what_they_rest_on():
-    """The line on the tolerance: nothing more if it is certified, the polygon, or 'by an indicator only'."""
-    for data, words in (
-        ({"load": 1}, "tolerance 0.3 is reached, on mesh"),
-        ({"load": "exp(x)"}, "tolerance 0.3 is reached, on mesh"),
-        ({"load": "exp(x)", "mesh": DISK}, "reached, on the polygon of the mesh, on mesh"),
-        ({"load": 1, "drift": [1, 0]}, "tolerance 0.3 is reached, by an indicator only, on mesh"),
-    ):
-        assert words in solve(Scene(**{"mesh": SQUARE, "tension": 1, **data}), tol=0.3).summary()
 
 
 @ON_SEVERAL_RANKS

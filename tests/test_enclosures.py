@@ -78,12 +78,17 @@ def check(text, x, seed):
 
 @pytest.mark.slow
 @pytest.mark.serial
-@settings(max_examples=400, deadline=None, derandomize=True, database=None)
+@settings(max_examples=1000, deadline=None, derandomize=True, database=None)
 @given(text=FORMULAS, x=CORNERS, seed=st.integers(0, 1000))
-def test_no_value_is_outside_its_bounds(text, x, seed):
-    """Any formula, any triangle: values at random points are between the bounds, polynomials have the degree found."""
+def test_any_formula_on_any_triangle(text, x, seed):
+    """What is found holds at random points: bounds, degrees, linear functions with kinks and jumps too, and bounds of
+    derivatives, on large cells and on small ones."""
     if area(x) > 1e-3:
         check(text, x, seed)
+        check_linear(text, x, seed)
+        check_linear(text, x[:1] + 0.1 * (x - x[:1]), seed)
+        check_slopes(text, x, seed)
+        check_slopes(text, x[:1] + 0.05 * (x - x[:1]), seed)
 
 
 SQUARE = np.array([[[0.25, 0.25], [0.5, 0.25], [0.5, 0.5]], [[0.5, 0.25], [0.75, 0.25], [0.75, 0.5]]])
@@ -106,18 +111,6 @@ def test_what_is_decided(text, whole, degree):
     found = enclosed(text, SQUARE)
     whole, degree = np.broadcast_to(whole, 2), np.broadcast_to(degree, 2)
     assert np.array_equal(found.whole, whole) and np.array_equal(found.degree[whole], degree[whole])
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["where(0 < y^2, 0, 1)", "where(y^2 == 0, 0, 1)", "where(sin(y)^2 > 0, 0, 1)", "sign(y^2)", "floor(1 - y^2)",
-     "(-y^2) % 1", "where(0 < sqrt(y), 0, 1)", "where(y^0.5 == 3, 0, 1)", "where(not ln(y) < 9, 0, 1)",
-     "where(0 <= min(0, sqrt(y)), 0, 1)", "max(sqrt(y), 2)"],
-)  # fmt: skip
-def test_what_is_not_decided(text):
-    """Conditions that change on the line y = 0 inside a cell alone, or on roots of negative numbers."""
-    for seed in range(3):
-        check(text, np.array([(0.0, 0.0), (0.0, 1.0), (1.0, -1.0)]), seed)
 
 
 def test_definitions_and_poles():
@@ -156,17 +149,6 @@ def check_slopes(text, x, seed):
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / order
         slack = 1e-11 * (np.abs(values).max() + max(abs(found.lower[0]), abs(found.upper[0])))
         assert (difference <= factorial(order) * bound[0] * length**order + slack).all(), (text, order, bound)
-
-
-@pytest.mark.slow
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
-@given(FORMULAS, CORNERS, st.integers(0, 99))
-def test_slopes_bound_differences(text, x, seed):
-    """Bounds of derivatives hold for any formula, on large cells and on small ones."""
-    if area(x) < 1e-3:
-        return
-    for size in (1.0, 0.05):
-        check_slopes(text, x[:1] + size * (x - x[:1]), seed)
 
 
 SHARP = [
@@ -243,16 +225,6 @@ def test_the_largest_of_what_is_no_number_is_above_nothing(largest):
     """A comparison with it fails, however large the other value is."""
     found = enclosed(f"where({largest} > 1, 1, 0)", [[(0.1, 0), (0.1, 1), (0.4, 0)]])
     assert found.lower[0] <= 0
-
-
-@pytest.mark.slow
-@settings(max_examples=400, deadline=None, derandomize=True, database=None)
-@given(FORMULAS, CORNERS, st.integers(0, 99))
-def test_linear_functions_are_near(text, x, seed):
-    """Any formula, with kinks and jumps too, is within the bound of its linear function."""
-    if area(x) > 1e-3:
-        for size in (1.0, 0.1):
-            check_linear(text, x[:1] + size * (x - x[:1]), seed)
 
 
 def test_smooth_transitions_cost_second_order():

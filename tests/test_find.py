@@ -30,26 +30,20 @@ def test_known_value():
     assert rows == sorted(rows, key=lambda row: row is rows[-1])
 
 
-def test_same_solution_from_the_last():
-    """Rows of a study that begins each solve from the last equal single solves, and take fewer Newton steps."""
-    values = [1.0, 1.01, 1.02, 1.021]
-    rows = study(string(), {"define.q": values}, cells=512)
+@pytest.mark.parametrize(("key", "values", "cells"), [
+    ("define.q", [1.0, 1.01, 1.02, 1.021], 512),
+    ("effects.load", [lambda x: -1.0 - 0 * x[0], lambda x: -2.0 - 0 * x[0]], 64),  # whatever a callable is called
+])  # fmt: skip
+def test_same_solution_from_the_last(key, values, cells):
+    """Rows of a study that begins each solve from the last equal single solves, and take no more Newton steps."""
+    rows = study(string(), {key: values}, cells=cells)
     for value, row in zip(values, rows, strict=True):
-        alone = solve(string().change({"define.q": value}), cells=512)
+        alone = solve(string().change({key: value}), cells=cells)
         assert abs(row["energy"] - alone.energy) < 1e-9 * abs(alone.energy)
         assert abs(row["contact.lower.force"] - alone.force.lower) < 1e-9
-        assert row["dofs"] == 513
+        assert row["dofs"] == cells + 1
     assert rows[-1]["newton_iterations"] <= alone.iterations
-
-
-def test_data_from_python_vary():
-    """Rows whose load is another callable are those of single solves, whatever the callable is called."""
-    loads = [lambda x: -1.0 - 0 * x[0], lambda x: -2.0 - 0 * x[0]]
-    rows = study(string(), {"effects.load": loads})
-    for load, row in zip(loads, rows, strict=True):
-        alone = solve(string().change({"effects.load": load}))
-        assert abs(row["energy"] - alone.energy) < 1e-9 * abs(alone.energy)
-    assert abs(rows[1]["energy"] - rows[0]["energy"]) > 0.1 * abs(rows[0]["energy"])
+    assert abs(rows[-1]["energy"] - rows[0]["energy"]) > 1e-3 * abs(rows[0]["energy"])
 
 
 @pytest.mark.parametrize(

@@ -50,25 +50,13 @@ def test_quantities(scene, name, exact):
 
 @pytest.mark.serial
 @pytest.mark.parametrize(("value", "error", "words"), [
-    (4.16290606, 0.036, "4.163 +- 0.037"), (-1.98765432, 1.26e-5, "-1.987654 +- 0.000013"), (0.0, 0.2, "0.00 +- 0.20"),
-    (1234567.8, 2345.6, "1234600 +- 2400"), (123.4, 56.7, "123 +- 58"), (0.5, 0.0996, "0.50 +- 0.10"),
-    (3.21e-9, 4.4e-11, "(3.210 +- 0.044)e-09"), (6.54321e12, 1e9, "(6.5432 +- 0.0011)e+12"),
-    (0.01, 3.0, "0.0 +- 3.1"), (2.5, 0.0, "2.5 +- 0"), (2.5, math.inf, "2.5 +- inf"),
+    (4.16290606, 0.036, "4.163 +- 0.037"), (1234567.8, 2345.6, "1234600 +- 2400"), (0.5, 0.0996, "0.50 +- 0.10"),
+    (3.21e-9, 4.4e-11, "(3.210 +- 0.044)e-09"), (2.5, 0.0, "2.5 +- 0"), (2.5, math.inf, "2.5 +- inf"),
     (1.25, 1e-20, "1.25 +- 1e-20"),
 ])  # fmt: skip
 def test_digits(value, error, words):
     """Values have as many decimals as their errors, which have two digits and are rounded upwards."""
     assert with_error(value, error) == words
-
-
-@pytest.mark.variant
-@pytest.mark.slow
-def test_penalty_is_small_beside_the_mesh():
-    """Volume of `nsv`, int (r^2 - 0.49)^2 over r > 0.7, where parts of mesh and penalty cancelled: eps is lowered."""
-    scene = catalogue.scene("nsv").change({**COARSE, "report": {"volume": "integral(u)"}})
-    answer = solve(scene, tol=0.03, goal="volume")
-    assert within_factor_2(answer, 0.712753810854827)
-    assert answer.goal.penalty <= 0.2 * answer.goal.mesh
 
 
 def test_energy_is_guaranteed():

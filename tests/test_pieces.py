@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.estimation.enclosed_data import Division, pieces_of, range_of
-from fenicsx_obstacle.estimation.quadrature import rule
 from fenicsx_obstacle.scenes.fields import FormulaField
 from tests.test_enclosures import CORNERS, FORMULAS, SCENE, area
 
@@ -177,16 +176,6 @@ def test_slopes_on_thin_parts(data, height):
     off = np.linalg.norm(gradients - true, axis=0).max()
     assert off <= group.steep[0] + 1e-6
     assert group.steep[0] < 100  # of a gradient of 22 at most
-
-
-def test_the_rule_of_parts_is_that_of_the_cell(data):
-    """The mean of a discontinuous load over a cell, whose parts are integrated, is the exact one."""
-    x = np.array([[(0, 0), (1, 0), (0, 1)]])
-    found = pieces(data, "where(x < 0.37, y^2, 0)", x, Division(3))
-    points, weights = rule(2, 4)
-    mean = sum((group.share * (group.values(points) @ weights)).sum() for group in found.groups)
-    exact = (1 - 0.63**4) / 12  # int_0^0.37 (1 - x)^3/3 dx
-    assert mean / 2 == pytest.approx(exact, rel=1e-9)
 
 
 @pytest.mark.parametrize("text", [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import InputError, Scene, solve, study
-from fenicsx_obstacle.answers.uncertainty import SAFETY, Uncertainty, compared
+from fenicsx_obstacle.answers.uncertainty import SAFETY, Uncertainty
 from fenicsx_obstacle.scenes import catalogue
 from tests.conftest import membrane, slow_except
 
@@ -25,16 +25,6 @@ def test_contact_area_of_a_string():
         assert abs(answer.area - area) < 1 / cells**2
         off.append(abs(answer.report["counted"] - area) * cells)
     assert max(off) > 1
-
-
-@pytest.mark.slow
-def test_contact_area_has_order_1_5():
-    """In the plane the contact area converges with order 1.5 at least, where a count of nodes has order 1."""
-    scene = catalogue.read("disk_flat").change({"report": {"counted": "integral(contact)"}})
-    found = [solve(scene, cells=n, method="vi") for n in (32, 128)]
-    errors = [abs(answer.area - math.pi * DISK**2) for answer in found]
-    assert math.log(errors[0] / errors[1], 4) > 1.5
-    assert abs(found[1].report["counted"] - math.pi * DISK**2) > 10 * errors[1]
 
 
 def test_contact_area_reaches_boundary_values_on_the_obstacle():
@@ -73,14 +63,6 @@ def test_what_is_not_settled():
     assert less.verdict == "settled" and less.order is None and less.error >= 0.004
     assert Uncertainty.of([3.0, 3 + 1e-13, 3.0]).error < 1e-8
     assert Uncertainty.of([0.0, 0.0, 0.0]).error == 0
-
-
-def test_contact_areas_of_erratic_order():
-    """Three meshes of ball on which the area seems to have order 2.5 (it is 1): within 3 times the stated error."""
-    true = math.pi * 0.6979651482233736**2
-    values = [true + off for off in (0.0303773, 0.0107887, 0.0073796)]
-    by_record = compared([{"contact": {"area": value}} for value in values])["contact"]["area"]
-    assert by_record["order"] is None and by_record["error"] / 3 < values[-1] - true < 3 * by_record["error"]
 
 
 JUMPS = {
@@ -146,12 +128,6 @@ def test_meshes_that_are_coarser_along_one_side_only():
     assert "along each side" in solve(scene, uncertainty=True).record["uncertainty"]["reason"]
 
 
-def test_penetration_tends_to_0():
-    """Its distance from its limit is itself, whatever its order."""
-    found = solve(membrane(load=-10, lower=-0.1), cells=16, uncertainty=True).record
-    assert found["uncertainty"]["penetration"]["error"] == found["penetration"] > 0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "change"),
@@ -172,6 +148,7 @@ def test_true_errors(name, change):
                        (found["report"]["held"], force)):  # fmt: skip
         if one["error"] is not None:
             assert abs(one["values"][-1] - truth) <= 3 * one["error"]
+    assert found["penetration"]["error"] == answer.penetration  # its limit is 0, whatever its order
     assert found["energy"]["order"] is None or 1 < found["energy"]["order"] < 4.1
     assert found["energy"]["verdict"] == "settled"
     assert found["energy"]["values"][-1] == pytest.approx(plain.energy, rel=1e-10)
@@ -179,12 +156,6 @@ def test_true_errors(name, change):
     json.dumps(dict(answer.record))
     assert " +- " in answer.summary() and "(order " in answer.summary()
     assert "uncertainty" not in plain.record and "+-" not in plain.summary()
-
-
-def test_peaks_are_unbounded():
-    """The pressure under a circular edge is a measure: its largest value grows like 1/h."""
-    scene = catalogue.read("ring_wedge").change({"report": {"peak": "sup(abs(p))"}})
-    assert solve(scene, cells=64, uncertainty=True).record["uncertainty"]["report"]["peak"]["verdict"] == "unbounded"
 
 
 @pytest.mark.slow

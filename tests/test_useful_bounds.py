@@ -159,14 +159,6 @@ def test_a_pole_leaves_the_solution_as_it_is(element):
     assert answer.bound.total > 0.09  # the true error
 
 
-def test_a_load_that_no_sample_sees():
-    """A load in a disk between the points of a rule is a force with a bound; u is above its boundary values then."""
-    load = "where(hypot(x - 0.583, y - 0.521) < 0.01, 10, -1e-7)"
-    answer = solve(membrane(load=load, boundary=[{"value": "1e-6*x"}]), element="P2", bound=True)
-    # of a point force F: u of the order of F/(2 pi) log(1/h)
-    assert 10 * np.pi * 0.01**2 / 20 < largest(COMM, answer.u.x.array) < 10 * np.pi * 0.01**2
-
-
 def test_a_load_of_two_signs_in_one_cell():
     """Samples see the positive part of a load alone; a bound makes the solver use all of it, and u is negative."""
     scene = Scene(mesh={"shape": "interval", "cells": 2}, tension=1, load="where(x < 0.781, 1.45, -1.94)", upper=0,
