@@ -78,24 +78,17 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
 
 SCENES = {
     "ball": lambda: Scene(mesh=uneven(48), **BALL),
-    "upper": lambda: Scene(mesh=uneven(48), tension=2, load=8, upper="0.5 + 0.2*x"),
     "both": lambda: Scene(mesh=uneven(48), tension=1, load="20*sin(2*x)", lower=-0.3, upper="0.4 - 0.05*x^2"),
-    "foundation": lambda: Scene(mesh=uneven(48), tension=1, foundation=3, load=-4, lower="-0.5 - 0.1*y"),
     "spring and free boundary": lambda: Scene(
         mesh=uneven(48), tension=1, load=-1, lower="-0.4 - 0.1*x",
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "spring": 2}],
     ),
-    "anisotropic": lambda: Scene(mesh=uneven(48), tension=[[4, 1], [1, 1]], load=-3, lower=-0.4),
     "boundary obstacle": lambda: Scene(
         mesh=uneven(48), tension=1, load=-0.3,
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": "-2 + 0.5*y"}],
     ),
     "held by contact alone": lambda: Scene(
         mesh=uneven(48), tension=1, load=-1, lower="0.2*cos(2*x) + 0.1*y", boundary=[]
-    ),
-    "interval": lambda: Scene(
-        mesh=shaken(dmesh.create_interval(COMM, 2000, [-1.0, 1.0]), 0.25, 2000, 1.0), tension=1, load=-8,
-        lower="-1 - 0.2*x",
     ),
     "cube": lambda: Scene(mesh=cube(13), tension=1, load=-8, lower="-0.4 + 0.1*x*y"),
     "quadrilaterals": lambda: Scene(mesh=shaken(square(48, kind=dmesh.CellType.quadrilateral), 0.15, 48), **BALL),
