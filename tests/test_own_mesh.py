@@ -172,10 +172,6 @@ def test_named_parts_of_a_refined_mesh_are_saved(folder):
     assert known["rim"][1:] == (0, 0) and known["far"][1:] == (1, 1) and known["soft"][1:] == (0, 0.5)
 
 
-def exact(x, y):
-    return np.sin(np.pi * x) * np.sin(np.pi * y)
-
-
 def test_time_with_callables():
     """f(x, t) and the formula in t: the same course."""
     own = Own(8)
