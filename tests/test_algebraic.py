@@ -83,12 +83,17 @@ SCENES = {
         mesh=uneven(48), tension=1, load=-1, lower="-0.4 - 0.1*x",
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "spring": 2}],
     ),
+    "anisotropic": lambda: Scene(mesh=uneven(48), tension=[[4, 1], [1, 1]], load=-3, lower=-0.4),
     "boundary obstacle": lambda: Scene(
         mesh=uneven(48), tension=1, load=-0.3,
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "lower": "-2 + 0.5*y"}],
     ),
     "held by contact alone": lambda: Scene(
         mesh=uneven(48), tension=1, load=-1, lower="0.2*cos(2*x) + 0.1*y", boundary=[]
+    ),
+    "interval": lambda: Scene(
+        mesh=shaken(dmesh.create_interval(COMM, 2000, [-1.0, 1.0]), 0.25, 2000, 1.0), tension=1, load=-8,
+        lower="-1 - 0.2*x",
     ),
     "cube": lambda: Scene(mesh=cube(13), tension=1, load=-8, lower="-0.4 + 0.1*x*y"),
     "quadrilaterals": lambda: Scene(mesh=shaken(square(48, kind=dmesh.CellType.quadrilateral), 0.15, 48), **BALL),

@@ -54,6 +54,7 @@ TOUCHING = {
     "part of a side": (LEFT, grid(2, 2, (1, 0.3), (1, 0.4))),
     "a corner's width of one edge": (grid(1, 1), grid(1, 1, (1, 0.8))),
     "overlap": (LEFT, grid(4, 4, (0.6, 0.3))),
+    "a thin overlap": (LEFT, grid(4, 4, (0.997, 0))),
     "one inside the other": (grid(8, 8), grid(2, 2, (0.3, 0.3), (0.2, 0.2))),
     "twice the same": (LEFT, LEFT),
     "digits lost": (LEFT, grid(4, 4, (1 + 4e-7, 0))),
@@ -76,6 +77,7 @@ APART = {
     "a narrow gap": (LEFT, grid(4, 4, (1.001, 0))),
     "a corner": (LEFT, grid(4, 4, (1, 1))),
     "a corner on a side": (LEFT, (np.array([[1.0, 0.4], [2.0, 0.0], [2.0, 1.0]]), np.array([[0, 1, 2]]))),
+    "cubes at an edge": (box(2), box(2, (1, 1, 0))),
     "cubes at a corner": (box(2), box(2, (1, 1, 1))),
     "intervals": ((np.array([[0.0], [1.0]]), np.array([[0, 1]])), (np.array([[2.0], [3.0]]), np.array([[0, 1]]))),
 }

@@ -284,6 +284,7 @@ REJECTED = [
     (lambda body, other: {"of": ufl.dot(body.u, ufl.FacetNormal(other.mesh))}, "of holds a FacetNormal"),
     (lambda body, other: {"stress": other.x[0] * ufl.sym(ufl.grad(body.u))}, "stress holds a Function or"),
     (lambda body, other: {"of": fem.Constant(body.mesh, 1 + 1j) * body.u[1]}, "of is complex: .*; take the real part"),
+    (lambda body, other: {"stress": fem.Constant(body.mesh, 1j) * ufl.sym(ufl.grad(body.u))}, "stress is complex: exp"),
     (lambda body, other: {"measure": fem.Constant(body.mesh, 1j) * body.ds(3)}, "the factor of measure is complex: ex"),
 ]  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Meshes: shapes, refinement, files; the same on any number of ranks."""
 
+import msgspec
 import numpy as np
 import pytest
 import ufl
@@ -7,9 +8,11 @@ from dolfinx import fem
 
 from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.mesh import levels
+from fenicsx_obstacle.mesh.shapes import SHAPES
 from fenicsx_obstacle.mesh.transfer import downward, ends_of
 from fenicsx_obstacle.parallel import gathered, on_root, total
 from fenicsx_obstacle.scenes import meshes
+from fenicsx_obstacle.scenes.tables import MeshTable
 from tests.conftest import COMM, DEMOS, slow_except
 
 MESHES = {
@@ -224,3 +227,13 @@ def test_a_shape_begins_coarse_and_ends_with_its_own_grid(name, cells):
     assert np.abs(steps).max(initial=1) == 1
     # all in the directions of (1, 1, 1), none across
     assert not np.any((steps.min(axis=1, initial=0) < 0) & (steps.max(axis=1, initial=0) > 0))
+
+
+@pytest.mark.serial
+def test_shapes_have_keys_of_the_mesh_table():
+    """Each shape that scenes can name takes keys of [mesh], and is made of them."""
+    keys = {field.name for field in msgspec.structs.fields(MeshTable)}
+    for name, recipe in SHAPES.items():
+        assert set(recipe.keys) <= keys - {"shape", "file", "cells", "refine"}
+        shape = meshes.shape_of(Scene(mesh={"shape": name, "cells": 4}, tension=1, load=1, boundary=[{"value": 0}]))
+        assert shape.cells[0] == 4 and len(shape.lower) == len(shape.cells)

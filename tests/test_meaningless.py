@@ -63,13 +63,16 @@ SPRING = [{"on": "left", "spring": 1e-14}]
 THIN = "where((x > 0.001)*(x < 0.002), 1, 0)"
 HELD_BY_NOTHING = {
     "soft, lifted": ({"load": 1, "soft_obstacle": {"lower": 0, "stiffness": 100}}, NOT_PRESSED),
+    "soft, no load": ({"load": 0, "soft_obstacle": {"lower": 0, "stiffness": 100}}, NOT_PRESSED),
     "soft, no stiffness": ({"load": -1, "soft_obstacle": {"lower": 0, "stiffness": 0}}, WEAK),
     "soft, stiff between samples": ({"load": -1, "soft_obstacle": {"lower": 0, "stiffness": THIN}}, WEAK),
     "weak spring": ({"load": -1, "boundary": SPRING}, WEAK),
     "weak spring, load without sum": ({"load": "sin(2*pi*x)", "boundary": SPRING}, WEAK),
+    "weak spring, lifted": ({"load": 1, "lower": 0, "boundary": SPRING}, NOT_PRESSED),
     "foundation between samples": ({"load": -1, "foundation": THIN}, WEAK),
     "weak foundation": ({"load": -1e-14, "foundation": 1e-15}, WEAK),
     "nothing": ({"load": -1}, "no obstacle supports it"),
+    "drift alone, lifted": ({"load": 1, "drift": [1, 2], "lower": 0}, NOT_PRESSED),
     "film, no spring": ({"load": -1, "large_slope": 1, "boundary": [{"on": "left", "spring": 0}]}, WEAK),
 }
 
@@ -335,6 +338,14 @@ def test_contact_bears_the_small_rest_of_a_load(cells, net, method):
     answer = solve(scene, method=method)
     assert answer.report["force"] == pytest.approx(net, rel=0.01)
     assert answer.report["end"] == pytest.approx(1 / 12, rel=1 / cells)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_contact_bears_the_load_of_the_estimator(element):
+    """With a bound the load is that of the estimator, which resolves a jump inside cells."""
+    scene = loose({**SQUARE, "cells": 5}, load="where(x < 0.3123, -5, 1)", lower=-0.2, report={"force": "integral(p)"})
+    answer = solve(scene, element=element, bound=True)
+    assert answer.report["force"] == pytest.approx(5 * 0.3123 - 0.6877, rel=1e-6)
 
 
 PROBLEMS = {problem.name: problem for problem in problems()}

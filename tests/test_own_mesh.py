@@ -158,6 +158,9 @@ def test_named_parts_are_saved(element, cell, folder):
     assert np.allclose(read.at(points, "flux"), answer.at(points, "flux"), rtol=1e-10, atol=1e-13)
     again = solve(read.scene)
     assert np.isclose(again.energy, answer.energy, rtol=1e-10) and parts_of(again.level) == known
+    solve(membrane(load=8, upper=0.3)).save(folder)
+    COMM.barrier()
+    assert not (folder / "element.xdmf").exists()
 
 
 @pytest.mark.slow

@@ -195,13 +195,17 @@ def _png(width, height):
 
 CLAIMS = {
     "a.npy": _npy((4 * 10**9, 3)),
+    "b.npy": _npy((2**62, 2**62)),
     "c.npy": _npy((8,), "|O"),
     "d.npy": _npy((5, 3)),
     "e.npy": b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16,
     "a.npz": _npz(_npy((4 * 10**9, 3))),
     "b.npz": lambda: _npz(bytes(3 * 10**8)),  # made where it is used: it takes a second and its memory
+    "c.npz": _npz(_npy((8,), "|O")),
+    "d.npz": _npz(b"text"),
     "e.npz": b"PK\x03\x04" + bytes(40),
     "a.png": _png(10**5, 10**5),
+    "b.png": _png(2**31 - 1, 2**31 - 1),
     "c.png": _png(4, 4),
 }
 

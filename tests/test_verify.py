@@ -156,6 +156,7 @@ WRONG = {
         s, "pressure", at_one(draw, 1e-5 * range_of(s.pressure), ~in_contact(s))
     ),
     "spread pressure": lambda s, draw: spread(s),
+    "pressure that is no number": lambda s, draw: changed(s, "pressure", at_one(draw, np.inf)),
     "u and pressure scaled": lambda s, draw: changed(
         changed(s, "u", lambda u: (1 + 1e-7) * u), "pressure", lambda p: (1 + 1e-7) * p
     ),
@@ -164,10 +165,12 @@ WRONG = {
     "contact everywhere": lambda s, draw: changed(s, "contact", np.ones_like),
     "area": lambda s, draw: recorded(s, {"area": s.area * (1 + 1e-6)}),
     "force": lambda s, draw: recorded(s, {pressed(s): {"force": getattr(s.force, pressed(s)) * (1 + 1e-6)}}),
+    "force that is no number": lambda s, draw: recorded(s, {pressed(s): {"force": np.nan}}),
     "penetration": lambda s, draw: recorded(s, penetration=s.penetration + 1e-6 * range_of(s.u)),
     "range": lambda s, draw: recorded(s, u_range=range_of(s.u) * (1 + 1e-6)),
     "energy": lambda s, draw: recorded(s, energy=(s.energy or 1.0) * (1 + 1e-6)),
     "eps": lambda s, draw: recorded(s, eps=2 * (s.eps or 1e-3)),
+    "eps below 0": lambda s, draw: recorded(s, eps=-(s.eps or 1e-3)),
     "the other method": lambda s, draw: recorded(s, eps=1e-3 if s.eps is None else None),
 }
 OF_FIELDS = {
