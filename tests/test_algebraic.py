@@ -78,9 +78,7 @@ def test_counts_do_not_grow_when_h_halves(method, eps):
 
 SCENES = {
     "ball": lambda: Scene(mesh=uneven(48), **BALL),
-    "upper": lambda: Scene(mesh=uneven(48), tension=2, load=8, upper="0.5 + 0.2*x"),
     "both": lambda: Scene(mesh=uneven(48), tension=1, load="20*sin(2*x)", lower=-0.3, upper="0.4 - 0.05*x^2"),
-    "foundation": lambda: Scene(mesh=uneven(48), tension=1, foundation=3, load=-4, lower="-0.5 - 0.1*y"),
     "spring and free boundary": lambda: Scene(
         mesh=uneven(48), tension=1, load=-1, lower="-0.4 - 0.1*x",
         boundary=[{"where": "x == -2", "value": 0}, {"where": "x == 2", "spring": 2}],

@@ -8,7 +8,7 @@ import pytest
 import ufl
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import NotConverged, Scene, compare, solve, study
+from fenicsx_obstacle import Scene, compare, solve, study
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.parallel import on_root, total
 from tests.conftest import COMM, DEMOS, membrane
@@ -76,20 +76,6 @@ def test_rows_are_flat_dicts(disk):
     string = Scene.read(DEMOS / "string.toml")
     forces = [row["contact.upper.force"] for row in study(string, {"define.c": [0.1, 0.2, 0.3]}, cells=8)]
     assert forces == sorted(forces, reverse=True)
-
-
-def test_one_line_says_what_it_is(ball):
-    """repr() of results: figures and no arrays; 1 step and 2 steps."""
-    answer = solve(ball, cells=8, eps="h^2")
-    assert "\n" not in repr(answer)
-    assert repr(answer).startswith(
-        "Answer('Membrane over a ball (Bueler 2021, ch. 12)': penalty, eps = 0.25, 81 unknowns;"
-    )
-    assert "force on lower obstacle 2.73057" in repr(answer)
-    linear = solve(membrane(load=1))
-    assert "  1 Newton step, " in linear.summary()
-    assert "512 cells, 289 unknowns" in linear.summary()
-    assert str(NotConverged("penalty", "no", 1, eps=None, h=1.0)) == "penalty did not converge in 1 step (h = 1): no"
 
 
 def test_fluxes_at_a_vertex_are_means_of_the_cells():

@@ -117,17 +117,14 @@ def test_obstacles_that_cannot_be_taken():
         (function(mesh, bowl, "DG", 0), "not continuous"),
         (own.u, r"upper is u itself.*u\.copy\(\)"),
         (0.3 + own.u**2, "upper depends on u"),
-        (2 * function(other, bowl), "defined on its own mesh only"),
         (ufl.SpatialCoordinate(other)[0], "defined on its own mesh only"),
         (x, r"an expression of shape \(2,\)"),
         (ufl.TestFunction(V) + 1, "holds a test or trial function"),
         (np.full(13**2, 0.3), r"upper = array\(.*expected a number, a Constant"),
-        ("0.3", r"upper = '0\.3': expected a number, a Constant.*a formula as text is for Scene"),
         (True, "upper = True: expected a number, a Constant"),
         (lambda: 0.3, r"the callable takes x of shape \(3, n\).*TypeError"),
         (lambda x: x, "the callable takes x of shape"),
         (lambda x, y: 0.3 + y, "upper: the callable takes two arguments"),
-        (0.3 + 0.1j, r"upper = \(0\.3\+0\.1j\): expected a number"),
         (fem.Constant(mesh, 0.3 + 0.1j), "upper is complex: expected real values"),
         (fem.Function(V, dtype=np.complex128), "upper is complex: expected real values"),
         (ufl.as_ufl(1j) * x[0], "upper is complex: expected real values"),
@@ -178,18 +175,14 @@ def test_forms_and_conditions_of_another_kind():
     cases = [
         ((F, V), {}, "u = .*expected the Function"),
         ((None, u), {}, "F = None: expected a UFL form, a linear form in one test function"),
-        ((8 * v, u), {}, "F = .*expected a UFL form"),
         ((u * v * ufl.dx(domain=mesh) == 8 * v * ufl.dx(domain=mesh), u), {}, "F is an equation: give the residual"),
         ((ufl.inner(ufl.grad(ufl.TrialFunction(V)), ufl.grad(v)) * ufl.dx, u), {}, "no trial function"),
         ((8 * v * ufl.dx, u), {}, "F does not depend on u"),
-        ((F, fem.Function(V)), {}, "F does not depend on u"),
         ((other.F, u), {}, "its test function is of another space"),
         ((F + other.u * v * ufl.dx(domain=mesh), u), {}, "F holds a Function or a measure of another mesh"),
-        ((F + 1j * v * ufl.dx, u), {}, "F holds complex numbers: expected real ones"),
         ((F + fem.Constant(mesh, 1j) * v * ufl.dx, u), {}, "F holds complex numbers"),
         ((F, u), {"energy": own.energy + ufl.imag(u) * ufl.dx}, "energy holds complex numbers"),
         ((F, u), {"energy": F}, "energy must be a functional of u"),
-        ((F, u), {"energy": 1}, "ObstacleProblem: energy = 1: expected a UFL form, a functional of u"),
         ((F, u), {"J": 1}, "ObstacleProblem: J = 1: expected a UFL form, a bilinear form"),
         ((F, u), {"J": (u * v * ufl.TrialFunction(V) + v) * ufl.dx}, "J must be bilinear.* each of them exactly once"),
         *(
@@ -199,7 +192,6 @@ def test_forms_and_conditions_of_another_kind():
         ((F, u), {"upper": None}, "ObstacleProblem: give an obstacle, lower= or upper="),
         ((F, u), {"lower": 0.4}, "lower is above upper"),
         ((F, u), {"lower": 0.1}, "ObstacleProblem: a value of bcs lies below the lower obstacle: 0 against"),
-        ((F, u), {"energy": other.energy}, "energy does not depend on u"),
         ((F, u), {"bcs": 3}, "bcs = 3: expected a list"),
         ((F, u), {"bcs": [own.bc, None]}, r"bcs\[1\] = None: expected what dolfinx"),
         ((F, u), {"bcs": other.bc}, r"bcs\[0\] is of another space than u"),
@@ -293,6 +285,12 @@ def test_unknowns_of_another_space(space):
         ObstacleProblem(ufl.inner(u, v) * ufl.dx, u, upper=1.0)
 
 
+def test_p2_on_tetrahedra_has_no_rule():
+    own = Membrane(dmesh.create_unit_cube(COMM, 1, 1, 1), 2)
+    with pytest.raises(InputError, match=r"no rule at the nodes of degree 2 on a tetrahedron has positive weights"):
+        own.problem(upper=0.3)
+
+
 @pytest.mark.slow
 def test_names_of_scenes():
     """solve and study take the name of a scene in the catalogue; test_verify.py has files."""
@@ -307,6 +305,8 @@ WRONG = {
     "^ObstacleProblem: all arguments except F and u need a keyword, such as bcs=": lambda: ObstacleProblem(
         OWN.F, OWN.u, [OWN.bc], upper=0.3
     ),
+    "Elasticity: there is no argument 'nu'": lambda: Elasticity(OWN.u, young=1, nu=0.3),
+    "ball_gap: there is no argument 'center'; did you mean 'centre'": lambda: ball_gap(0, 0, center=0, radius=1),
     "solve: there is no argument 'methd'; did you mean 'method'": lambda: OWN.problem(upper=0.3).solve(methd="vi"),
     "solve: all arguments need a keyword, such as eps=": lambda: OWN.problem(upper=0.3).solve(1e-6),
     "penalty: there is no argument 'uper'; did you mean 'upper'": lambda: penalty(OWN.u, OWN.v, uper=0.3, eps=1e-3),
@@ -315,37 +315,26 @@ WRONG = {
     "solve: tol = '0.3': expected a number": lambda: solve(SCENE, tol="0.3"),
     "--tol 5: the tolerance is relative and must be below 1": lambda: solve(SCENE, tol=5),
     "unknown effect 'bcs'; u on the boundary is given by boundary=": lambda: Scene(mesh={}, tension=1, bcs=[]),
-    "unknown effect 'uper'; did you mean 'upper'": lambda: Scene(mesh={}, tension=1, uper=0.3),
     r"mesh = 'a\.msh': expected a DOLFINx mesh or a table such as .*file": lambda: Scene(mesh="a.msh", tension=1),
     "boundary: expected tables such as .*conditions of DOLFINx are for ObstacleProblem": lambda: Scene(
         mesh={"shape": "disk"}, tension=1, boundary=[OWN.bc]
     ),
-    "Elasticity: there is no argument 'nu'": lambda: Elasticity(OWN.u, young=1, nu=0.3),
-    "ball_gap: there is no argument 'center'; did you mean 'centre'": lambda: ball_gap(0, 0, center=0, radius=1),
-    "solve: budget = 5: expected a text such as '60s'": lambda: solve(SCENE, tol=0.3, budget=5),
     "--budget 5: expected limits such as": lambda: solve(SCENE, tol=0.3, budget="5"),
-    "there is no argument 'cels'; did you mean 'cells'": lambda: solve(SCENE, cels=8),
-    r"solve: cells = 16\.0: expected a whole number": lambda: solve(SCENE, cells=16.0),
     "solve: cells = True: expected a whole number": lambda: solve(SCENE, cells=np.bool_(True)),
     "element = 'q1-Gauss' is not known; did you mean 'Q1-gauss'": lambda: solve(SCENE, element="q1-Gauss"),
     "method = 'VI' is not known; did you mean 'vi'": lambda: solve(SCENE, method="VI"),
-    "solve: method = 3: expected a text": lambda: solve(SCENE, method=3),
     r"solve: eps = \[1\]: expected a number, a formula in h": lambda: solve(SCENE, eps=[1]),
     "solve: bound = 'no': expected True or False": lambda: solve(SCENE, bound="no"),
     r"solve: comm = None: expected mpi4py\.MPI\.Comm": lambda: solve(SCENE, comm=None),
-    "solve: keep = 3: expected a text or a path": lambda: solve(SCENE, keep=3),
     "study: vary = None: expected values by keys": lambda: study(SCENE, vary=None),
     "study: vary = {}: name a key": lambda: study(SCENE, vary={}),
     "unknown key 'cels'; did you mean 'cells'": lambda: study(SCENE, vary={"cels": [4]}),
     r"cells = \[\] cannot vary: expected a list of values": lambda: study(SCENE, vary={"cells": []}),
-    "cells = 8 cannot vary: expected a list": lambda: study(SCENE, vary={"cells": 8}),
-    "unknown key 'epps'; did you mean 'eps'": lambda: study(SCENE, vary={"cells": [4]}, epps=1),
     "compare: a = None: expected a Solution, or the folder": lambda: compare(None, None),
     r"Scene\.read: path = None: expected a text or a path": lambda: Scene.read(None),
     r"Scene\.change: changes = None: expected a dict": lambda: SCENE.change(None),
     "unknown table or key '3'": lambda: SCENE.change({3: 4}),
     "mesh = None: expected a DOLFINx mesh or a table": lambda: Scene(mesh=None, tension=1),
-    r"\[define\] = 3: expected a table": lambda: membrane(define=3),
     r"\[boundary\] = 3: expected a list": lambda: membrane(boundary=3),
     r"Answer\.read: folder = None: expected a text or a path": lambda: Answer.read(None),
     "a file, not the folder of a saved answer": lambda: Answer.read(__file__),

@@ -344,8 +344,6 @@ WRONG = {
     "a component that is not there": ({"lower": {2: 0.0}}, "u has the components 0 to 1"),
     "a negative number": ({"lower": {-1: 0.0}}, "u has the components 0 to 1"),
     "a flag": ({"lower": {True: 0.0}}, "expected the number of a sub-space"),
-    "a name": ({"lower": {"p": 0.0}}, "expected the number of a sub-space"),
-    "a number that is not whole": ({"upper": {1.0: 0.0}}, "expected the number of a sub-space"),
     "nothing": ({"lower": {}}, "the dict of bounds is empty"),
     "a number beside a dict": ({"lower": {1: 0.0}, "upper": 1.0}, "expected a dict, as the other bound is"),
     "bounds that cross": ({"lower": {1: 0.5}, "upper": {1: 0.4}}, "component 1: lower|is above upper"),

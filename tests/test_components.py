@@ -53,7 +53,6 @@ TOUCHING = {
     "other sizes": (LEFT, grid(3, 5, (1, 0))),
     "part of a side": (LEFT, grid(2, 2, (1, 0.3), (1, 0.4))),
     "a corner's width of one edge": (grid(1, 1), grid(1, 1, (1, 0.8))),
-    "three": (LEFT, RIGHT, grid(5, 3, (2, 0))),
     "overlap": (LEFT, grid(4, 4, (0.6, 0.3))),
     "a thin overlap": (LEFT, grid(4, 4, (0.997, 0))),
     "one inside the other": (grid(8, 8), grid(2, 2, (0.3, 0.3), (0.2, 0.2))),
@@ -61,7 +60,6 @@ TOUCHING = {
     "digits lost": (LEFT, grid(4, 4, (1 + 4e-7, 0))),
     "cubes": (box(2), box(2, (1, 0, 0))),
     "cubes, other diagonals": (box(1), box(1, (1, 0, 0), reverse=True)),
-    "cubes, other sizes": (box(2), box(3, (1, 0, 0))),
     "cubes, part of a side": (box(2), box(1, (1, 0.5, 0.4))),
 }
 

@@ -128,39 +128,6 @@ def test_a_measure_that_is_a_sum():
             ObstacleProblem(F, body.u, bcs=bcs, upper=1.0, of=body.u[1], measure=measure)
 
 
-@pytest.mark.variant
-@pytest.mark.slow
-@pytest.mark.parametrize(("cell", "degree"), ELEMENTS[:4])
-def test_order_in_h(cell, degree):
-    """A manufactured state whose pressure has a kink where contact ends, inside a cell: u converges in H1 with order 1
-    for degree 1 and at least 3/2 for degree 2, p in L2 with 3/2."""
-    errors = np.array([_errors(cell, degree, count) for count in (8, 32)])
-    of_u, of_p = np.log2(errors[0] / errors[1]) / 2
-    assert of_u > (0.95 if degree == 1 else 1.5) and of_p > 1.4, (of_u, of_p)
-
-
-def _errors(cell, degree, count):
-    """Of the gradient of u, and of p."""
-    body = Body(cell, degree, [count, count])
-    x, n, u, v = body.x, ufl.FacetNormal(body.mesh), body.u, body.v
-    ds = body.tagged(above=lambda x: np.isclose(x[1], 1), right=lambda x: np.isclose(x[0], 1))
-    ds, dx = ds(metadata={"quadrature_degree": 6}), ufl.dx(metadata={"quadrature_degree": 6})
-    exact = 0.1 * ufl.as_vector([ufl.sin(x[0] + 0.5 * x[1]), ufl.cos(2 * x[0] - x[1])])
-    s, beyond = stress(ufl.sym(ufl.grad(exact)), 0.3), x[0] - 0.55
-    p = ufl.conditional(ufl.lt(beyond, 0), 2 * x[0] * beyond, 0.0)
-    gap = exact[1] + ufl.conditional(ufl.gt(beyond, 0), beyond**2, 0.0)
-    F = ufl.inner(stress(strain_of(u), 0.3), strain_of(v)) * ufl.dx + ufl.inner(ufl.div(s), v) * dx
-    F -= ufl.inner(ufl.dot(s, n) - p * n, v) * ds(3) + ufl.inner(ufl.dot(s, n), v) * ds(4)
-    held = fem.Function(body.V)
-    held.interpolate(releases.expression(exact, body.V))
-    facets = body.facets(lambda x: np.isclose(x[0], 0) | np.isclose(x[1], 0))
-    bcs = [fem.dirichletbc(held, fem.locate_dofs_topological(body.V, 1, facets))]
-    pressure = ObstacleProblem(F, u, bcs=bcs, upper=gap, of=u[1], measure=ds(3)).solve().pressure
-    slope = ufl.grad(u - exact)
-    squares = (ufl.inner(slope, slope) * dx, (pressure - p) ** 2 * ds(3))
-    return [np.sqrt(COMM.allreduce(fem.assemble_scalar(releases.form(one)))) for one in squares]
-
-
 @pytest.mark.parametrize(("cell", "degree"), ELEMENTS[::3])
 def test_saved_and_read(cell, degree, folder):
     """A solution that is read has the same u, pressure, gap and von Mises stress at any point, to 1e-12; that of a
@@ -256,22 +223,6 @@ class Box(Body):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
-@pytest.mark.parametrize("method", ["penalty", "vi"])
-def test_any_direction(dim, degree, method):
-    """All figures are the same, to 1e-8, if the body, its load and its obstacle are turned as one."""
-    cells = 6 if dim == 2 else 4
-    straight, tilted = (Box(cells, dim, degree, angle).problem().solve(method=method) for angle in (0.0, 0.7))
-    assert straight.area > 0
-    assert np.isclose(straight.force.upper, tilted.force.upper, rtol=1e-8)
-    assert np.isclose(straight.energy, tilted.energy, rtol=1e-8)
-    pressures = [np.sort(one.nodes.pressure) for one in (straight, tilted)]
-    assert np.allclose(*pressures, atol=1e-8 * np.abs(pressures[0]).max())
-    size = np.linalg.norm(tilted.nodes.resultant)
-    assert np.isclose(size, tilted.force.upper, rtol=1e-8)
-
-
-@pytest.mark.slow
 def test_large_strains():
     """A neo-Hookean body: penalty and variational inequality agree as eps -> 0, with a line search on the energy; for
     small displacements the force is that of Hooke's law."""
@@ -319,7 +270,6 @@ REJECTED = [
     (lambda body, other: {"of": body.u[0].dx(0)}, "of holds derivatives of u"),
     (lambda body, other: {"of": body.x[0]}, "of does not depend on u"),
     (lambda body, other: {"of": ufl.dot(body.u, ufl.FacetNormal(body.mesh)), "measure": ufl.ds}, "facets with differ"),
-    (lambda body, other: {"bcs": []}, "1 rigid body motion is free .*: translation along x; prescribe"),
     (lambda body, other: {"F": body.F + body.v[1] * ufl.dx, "bcs": [body.held(lambda x: np.isclose(x[0], 0), 0)]},
      "does not press it against the obstacles"),
     (lambda body, other: {"F": body.F + ufl.sqrt(ufl.dot(body.u, body.u)) * body.v[1] * ufl.dx},
@@ -332,10 +282,8 @@ REJECTED = [
      "measure: subdomain_data: these MeshTags"),
     (lambda body, other: {"measure": other.x[0] * ufl.Measure("ds", body.mesh)}, "the factor of measure"),
     (lambda body, other: {"of": ufl.dot(body.u, ufl.FacetNormal(other.mesh))}, "of holds a FacetNormal"),
-    (lambda body, other: {"of": body.u[0] + other.x[0]}, "of holds a FacetNormal, a Function or coordinates"),
     (lambda body, other: {"stress": other.x[0] * ufl.sym(ufl.grad(body.u))}, "stress holds a Function or"),
     (lambda body, other: {"of": fem.Constant(body.mesh, 1 + 1j) * body.u[1]}, "of is complex: .*; take the real part"),
-    (lambda body, other: {"of": ufl.as_ufl(1j) * body.u[1]}, "of is complex"),
     (lambda body, other: {"stress": fem.Constant(body.mesh, 1j) * ufl.sym(ufl.grad(body.u))}, "stress is complex: exp"),
     (lambda body, other: {"measure": fem.Constant(body.mesh, 1j) * body.ds(3)}, "the factor of measure is complex: ex"),
 ]  # fmt: skip
@@ -348,17 +296,6 @@ def test_what_is_rejected(change, words):
     body, other = Box(), Box()
     with pytest.raises(InputError, match=f"ObstacleProblem: .*{words}"):
         body.problem(**change(body, other))
-
-
-def test_a_body_on_a_part_of_the_mesh():
-    """Nodes of cells over which F has no integral are named."""
-    body = Box()
-    cells = dmesh.locate_entities(body.mesh, body.dim, lambda x: np.full(x.shape[1], COMM.rank == 0))
-    tags = dmesh.meshtags(body.mesh, body.dim, cells[:1], np.full(len(cells[:1]), 3, np.int32))
-    dx = ufl.Measure("dx", domain=body.mesh, subdomain_data=tags)
-    body.F = ufl.inner(stress(strain_of(body.u), 0.3), strain_of(body.v)) * dx(3)
-    with pytest.raises(InputError, match=r"the derivative of F has no integral over the cells at .* nodes, such as \("):
-        body.problem()
 
 
 @pytest.mark.slow
@@ -457,38 +394,16 @@ def test_stresses_of_a_stretched_body(plane, sizes):
 @pytest.mark.parametrize("axis", [None, (1.0, 1.0, 0.0)])
 def test_gaps_end_on_the_surface(axis):
     """x + gap n is on the near side of the ball or the cylinder, on the plane; beside the ball there is no obstacle."""
-    mesh = dmesh.create_unit_cube(COMM, 1, 1, 1)
-    x, n = ufl.SpatialCoordinate(mesh), np.array([0.0, 0.6, 0.8])
+    x, n = ufl.SpatialCoordinate(dmesh.create_unit_cube(COMM, 1, 1, 1)), np.array([0.0, 0.6, 0.8])
     centre, outward = np.array([0.5, 1.5, 2.0]), np.array([0.0, -1.0, -2.0])
-
-    def off(gap, distance):
-        point = x + gap * ufl.as_vector(n.tolist())
-        return COMM.allreduce(fem.assemble_scalar(releases.form(abs(distance(point)) * ufl.dx(domain=mesh))))
-
-    def from_centre(point):
-        there = point - ufl.as_vector(centre.tolist())
-        if axis is not None:
-            along = ufl.as_vector((np.array(axis) / np.linalg.norm(axis)).tolist())
-            there = there - ufl.dot(there, along) * along
-        return there
-
-    def from_surface(point):
-        there = from_centre(point)
-        return ufl.sqrt(ufl.dot(there, there)) - 1.3
-
-    def behind_centre(point):
-        return ufl.max_value(ufl.dot(from_centre(point), ufl.as_vector(n.tolist())), 0.0)
-
-    def along(direction):
-        middle, direction = ufl.as_vector(centre.tolist()), ufl.as_vector(direction.tolist())
-        return lambda point: ufl.dot(point - middle, direction)
-
-    assert off(ball_gap(x, n, centre, 1.3, axis), from_surface) < 1e-12
-    assert off(ball_gap(x, n, centre, 1.3, axis), behind_centre) < 1e-12
-    assert off(plane_gap(x, n, centre, outward), along(outward)) < 1e-12
-    centre[0] = 50.0
-    beside = fem.assemble_scalar(releases.form(ball_gap(x, n, centre, 1.3) * ufl.dx(domain=mesh)))
-    assert np.isclose(COMM.allreduce(beside), NO_OBSTACLE)
+    along = np.zeros(3) if axis is None else np.array(axis) / np.linalg.norm(axis)
+    ball, plane = ball_gap(x, n, centre, 1.3, axis), plane_gap(x, n, centre, outward)
+    for point in np.random.default_rng(1).random((20, 3)):
+        arm = point + ball(tuple(point)) * n - centre
+        arm -= (arm @ along) * along
+        assert np.isclose(np.linalg.norm(arm), 1.3) and arm @ n <= 0
+        assert abs((point + plane(tuple(point)) * n - centre) @ outward) < 1e-12
+    assert ball_gap(x, n, np.array([50.5, 1.5, 2.0]), 1.3)((0, 0, 0)) == NO_OBSTACLE
 
 
 def test_measure_with_axial_symmetry():

@@ -12,7 +12,7 @@ from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.discrete import residence_time as drift_checks
 from fenicsx_obstacle.parallel import largest, smallest
 from tests.conftest import COMM, membrane, slow_except
-from tests.hard.unsolvable import Unsolvable, attempt, problems
+from tests.hard.unsolvable import attempt, problems
 from tests.helpers import Membrane
 from tests.test_components import APART, union
 
@@ -35,11 +35,9 @@ def extremes(answer):
 SOFT = {
     "square": ({"load": -1, "soft_obstacle": {"lower": 3, "stiffness": 100}}, 2.99),
     "cube": ({"mesh": CUBE, "load": -1, "soft_obstacle": {"lower": 3, "stiffness": 100}}, 2.99),
-    "upper": ({"load": 2, "soft_obstacle": {"upper": 5, "stiffness": 100}}, 5.02),
     "shifted": ({"load": 2, "soft_obstacle": {"upper": 1e8, "stiffness": 100}}, 1e8 + 0.02),
     "two": ({"load": -1, "soft_obstacle": {"lower": -1, "upper": 1, "stiffness": 100}}, -1.01),
     "beside a hard one": ({"load": -1, "lower": -9, "soft_obstacle": {"lower": -1, "stiffness": 100}}, -1.01),
-    "against a hard one": ({"load": -1, "upper": 2, "soft_obstacle": {"lower": -1, "stiffness": 100}}, -1.01),
     "drift": ({"load": -1, "drift": [1, 2], "soft_obstacle": {"lower": 0, "stiffness": 100}}, -0.01),
     "film": ({"load": -1, "large_slope": 1, "soft_obstacle": {"lower": 0, "stiffness": 100}}, -0.01),
     "small forces": ({"tension": 1e-8, "load": -1e-8, "soft_obstacle": {"lower": 0, "stiffness": 1e-6}}, -0.01),
@@ -59,13 +57,6 @@ def test_a_soft_obstacle_alone_holds(name, element, method):
     assert found == pytest.approx((height, height), rel=1e-9)
 
 
-def test_a_soft_obstacle_holds_with_the_force_of_the_load():
-    """Without other supports the soft obstacle carries the whole load, wherever it is stiff."""
-    scene = loose(load=-3, soft_obstacle={"lower": "x", "stiffness": "where(x < 0.5, 40, 0)"})
-    answer = solve(scene.change({"report": {"force": "integral(where(x < 0.5, 40, 0)*max(x - u, 0))"}}))
-    assert answer.report["force"] == pytest.approx(3, rel=0.05)  # by another rule than the nodal one
-
-
 NOT_PRESSED = "does not press against the lower obstacle"
 WEAK = "is below the round-off of the tension"
 SPRING = [{"on": "left", "spring": 1e-14}]
@@ -75,7 +66,6 @@ HELD_BY_NOTHING = {
     "soft, no load": ({"load": 0, "soft_obstacle": {"lower": 0, "stiffness": 100}}, NOT_PRESSED),
     "soft, no stiffness": ({"load": -1, "soft_obstacle": {"lower": 0, "stiffness": 0}}, WEAK),
     "soft, stiff between samples": ({"load": -1, "soft_obstacle": {"lower": 0, "stiffness": THIN}}, WEAK),
-    "no spring": ({"load": -1, "boundary": [{"on": "left", "spring": 0}]}, WEAK),
     "weak spring": ({"load": -1, "boundary": SPRING}, WEAK),
     "weak spring, load without sum": ({"load": "sin(2*pi*x)", "boundary": SPRING}, WEAK),
     "weak spring, lifted": ({"load": 1, "lower": 0, "boundary": SPRING}, NOT_PRESSED),
@@ -224,18 +214,14 @@ IN_TIME = {"rate": 1, "time": {"end": 100, "steps": 50, "start": 0}}
 COARSE = {
     "P1": (SQUARES, CENTRE, 0.2, "P1"),
     "P2": (SQUARES, CENTRE, 0.2, "P2"),
-    "P2 finer": ({**SQUARES, "cells": 24}, CENTRE, 0.001, "P2"),
     "Q1": ({**SQUARES, "cell": "quadrilateral"}, CENTRE, 0.2, "Q1"),
     "box": ({"shape": "box", "cells": 6}, [*CENTRE, "20*(z - 0.5)"], 0.01, "P1"),
-    "line": (SQUARES, ["20*sin(6*(x - 0.3))", 0], 0.01, "P1"),
     "circles": (SQUARES, ["y - 0.5", "0.5 - x"], 1e-5, "P1"),
     "P2 coarse": (EIGHT, OUTWARDS, 1, "P2"),
-    "Q2 coarse": ({**EIGHT, "cell": "quadrilateral"}, OUTWARDS, 1, "Q2"),
     "calm inside": (EIGHT, RING, 1, "P1"),
     "a soft obstacle far off": (EIGHT, OUTWARDS, 1, "P1", {"soft_obstacle": {"upper": 1e9, "stiffness": 1}}),
     "an obstacle in reach": (EIGHT, OUTWARDS, 1, "P2", {"upper": 1}),
     "in time": (EIGHT, OUTWARDS, 1, "P1", IN_TIME),
-    "in time, P2": (EIGHT, OUTWARDS, 1, "P2", IN_TIME),
     "later": (EIGHT, ["800*(t - 0.6)*(x - 0.5)", "800*(t - 0.6)*(y - 0.5)"], 1, "P1", {"time": {"end": 1, "steps": 4}}),
 }
 
@@ -373,13 +359,6 @@ def test_unsolvable(name):
     """All methods, one step; not a number at one place, on one rank; no matrix, no minimum."""
     held, said = attempt(PROBLEMS[name], COMM)
     assert held, said
-
-
-def test_a_solved_problem_is_found():
-    """An answer is not an error."""
-    held, said = attempt(Unsolvable("none", lambda comm: None, {}), COMM)
-    assert not held
-    assert said == "an answer"
 
 
 def test_not_a_number_ends_at_once():

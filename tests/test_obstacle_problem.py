@@ -12,12 +12,10 @@ from dolfinx import mesh as dmesh
 from petsc4py import PETSc
 
 from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Scene, compare, penalty, solve
-from fenicsx_obstacle.checkout import ROOT
 from fenicsx_obstacle.parallel import largest
 from fenicsx_obstacle.problems.residual_form import ResidualForm
 from tests import helpers
 from tests.conftest import COMM, membrane
-from tests.helpers import run_python
 
 TRIANGLE, QUADRILATERAL = dmesh.CellType.triangle, dmesh.CellType.quadrilateral
 ELEMENTS = [(TRIANGLE, 1, "P1"), (TRIANGLE, 2, "P2"), (QUADRILATERAL, 1, "Q1"), (QUADRILATERAL, 2, "Q2")]
@@ -75,32 +73,6 @@ def tagged(mesh, dim, where=lambda x: x[0] < 0.26, inside=False):
     find = dmesh.locate_entities if inside or dim == mesh.topology.dim else dmesh.locate_entities_boundary
     there = np.sort(find(mesh, dim, where)).astype(np.int32)
     return dmesh.meshtags(mesh, dim, there, np.full(len(there), 3, np.int32))
-
-
-def fixed_dofs(own):
-    dofs = own.bc.dof_indices()[0]
-    return dofs[dofs < own.V.dofmap.index_map.size_local]
-
-
-@pytest.mark.parametrize("shape", ["interval", "tetrahedron", "hexahedron"])
-@pytest.mark.parametrize("degree", [1, 2])
-def test_other_dimensions(shape, degree):
-    """Intervals, tetrahedra and hexahedra: u <= g, p <= 0, forces balance; P2 on tetrahedra has no rule (3.6)."""
-    if shape == "interval":
-        mesh = dmesh.create_interval(COMM, 20, [0.0, 1.0])
-    else:
-        mesh = dmesh.create_box(COMM, [np.zeros(3), np.ones(3)], [5, 5, 5], getattr(dmesh.CellType, shape))
-    own = helpers.Membrane(mesh, degree, load=30.0)
-    if (shape, degree) == ("tetrahedron", 2):
-        with pytest.raises(InputError, match=r"no rule at the nodes of degree 2 on a tetrahedron has positive weights"):
-            own.problem(upper=0.3)
-        return
-    problem = own.problem(upper=0.3)
-    found = problem.solve(method="vi")
-    assert largest(COMM, found.u.x.array) <= 0.3 + 1e-12
-    assert largest(COMM, found.pressure.x.array) <= 0 and found.area > 0.01
-    supports = COMM.allreduce(float(problem.b.array_r[fixed_dofs(own)].sum()))
-    assert np.isclose(30 - found.force.upper, -supports, rtol=1e-8)
 
 
 @pytest.mark.parametrize("method", ["penalty", "vi"])
@@ -473,29 +445,6 @@ def test_made_of_effects():
     assert problem.solve(bound=True).iterations == 0
     with pytest.raises(InputError, match="bound=True needs tension and load as data, which cannot be read from a form"):
         Membrane(4).problem().solve(bound=True)
-
-
-BLOCKED = f"""
-import sys
-sys.modules["fenicsx_obstacle.scenes"] = None
-{(ROOT / "README.md").read_text().split("```python")[1].split("```")[0]}
-from fenicsx_obstacle import Solution
-solution.save(sys.argv[1])
-back = Solution.read(sys.argv[1])
-assert back.force == solution.force
-back.plot(sys.argv[1] + "/picture.png")
-print(back.summary())
-assert not [name for name in sys.modules if name.startswith("fenicsx_obstacle.scenes.")]
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.serial
-def test_without_scenes(tmp_path):
-    """The problem of the README is solved, saved, read and drawn where the package has no scenes."""
-    done = run_python(BLOCKED, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Newton step" in done.stdout and (tmp_path / "picture.png").stat().st_size > 1000
 
 
 def test_meshes_that_are_none():

@@ -7,15 +7,13 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenicsx_obstacle import InputError, Scene, releases, solve, study
-from fenicsx_obstacle.algebra.newton import penalty_pressure
+from fenicsx_obstacle import InputError, Scene, releases, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.forms.pairs import Pair, _register, pairs, register
 from fenicsx_obstacle.forms.rules import Rule, nodal_rule
 from fenicsx_obstacle.mesh.cells import volumes
 from fenicsx_obstacle.parallel import largest, smallest, total
 from fenicsx_obstacle.scenes import meshes
-from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, slow_except
 
 DISK = Scene.read(DEMOS / "disk.toml")
@@ -45,6 +43,9 @@ def test_lumped_mass_is_diagonal_and_sums_to_the_volume(name, mesh):
     diagonal = M.getDiagonal()
     assert smallest(COMM, diagonal.array) > 0
     assert np.isclose(total(COMM, diagonal.array), 1.0)
+    if releases.cell_name(level.mesh) in ("interval", "triangle", "tetrahedron"):  # on which the rule is exact for x
+        x = Q.tabulate_dof_coordinates()[: len(diagonal.array), 0]
+        assert np.isclose(total(COMM, diagonal.array * x), 0.5)
     M.setDiagonal(PETSc.Vec().createWithArray(np.zeros(len(diagonal.array)), comm=COMM))
     assert M.norm(PETSc.NormType.FROBENIUS) < 1e-12
 
@@ -65,16 +66,6 @@ def test_cells_without_a_rule():
         nodal_rule("prism")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", slow_except(pairs(), "P1", "Q2"))
-def test_orders_of_each_pair(name):
-    """(5.6), (5.8), (5.9) with eps = h^2: order 1 in H1 at least, 2 in L2, 1 for the pressure in the dual norm."""
-    rows = study(DISK, {"cells": [16, 32]}, element=name, eps="h^2")
-    assert order("errors.h1", rows[1], rows[0], "h") > 0.95
-    assert order("errors.l2", rows[1], rows[0], "h") > 1.7
-    assert order("errors.pressure_dual", rows[1], rows[0], "h") > 1
-
-
 @pytest.mark.parametrize("name", slow_except(pairs(), "P2", "Q1"))
 def test_reference_of_each_pair(name):
     """Theorem 3.1: u_eps tends to the solution of the inequality, whose constraints hold at the points of I alone."""
@@ -91,41 +82,6 @@ def test_reference_of_each_pair(name):
         reference.record["contact"]["upper"]["force"], answer.record["contact"]["upper"]["force"], rtol=1e-4
     )
     context.close()
-
-
-@pytest.mark.parametrize("name", ["P1", "Q1", "Q2", "P2", "P1-voronoi"])
-def test_pressure_balances_the_load(name):
-    """a(u, v) = f(v) + I(p, v) at free nodes, as (3.7) says, and p <= 0 against the upper obstacle."""
-    context = SolverContext(DISK.change({"mesh.cells": 8, "mesh.perturb": 0.2, "solve.element": name}))
-    problem = context.problem
-    for eps in (1e-1, 1e-4, 1e-8):
-        answer = context.answer(context.scene.options_with(eps=eps))
-        x = problem.vector()
-        out = x.duplicate()
-        problem.residual(x, out)
-        assert largest(COMM, np.abs(out.array)) < 1e-9
-        p = penalty_pressure(problem)
-        assert largest(COMM, np.abs(problem.elastic.array_r - problem.weights * p)[~problem.fixed]) < 1e-9
-        assert np.isclose(smallest(COMM, answer.pressure.x.array), smallest(COMM, p)) and largest(COMM, p) <= 0
-
-
-def test_p2_touches_at_midpoints_alone():
-    """P2: the rule has no weight at vertices, so nothing holds u there; p lives at the midpoints of edges."""
-    context = SolverContext(DISK.change({"mesh.cells": 8, "solve.element": "P2", "solve.method": "vi"}))
-    problem, answer = context.problem, context.answer()
-    vertices = problem.weights == 0
-    assert total(COMM, np.count_nonzero(vertices)) == 81
-    assert largest(COMM, answer.u.x.array[: problem.level.owned][~vertices]) <= 0.3 + 1e-12
-    assert answer.pressure.function_space == problem.level.Q and largest(COMM, answer.pressure.x.array) <= 0
-
-
-def test_one_point_gauss_leaves_a_chessboard():
-    """Example 3: u is as good as with Q1, but p_h jumps between neighbours and leaves its true range [-4, 0]."""
-    scene = DISK.change({"mesh.cells": 16, "solve.element": "Q1-gauss", "solve.method": "vi"})
-    gauss, good = solve(scene), solve(scene, element="Q1")
-    assert gauss.record["errors"]["l2"] < 1.05 * good.record["errors"]["l2"]
-    assert smallest(COMM, gauss.pressure.x.array) < 1.5 * smallest(COMM, good.pressure.x.array) < -4
-    assert gauss.pressure.function_space.dofmap.index_map.size_global == 256
 
 
 @pytest.mark.parametrize(

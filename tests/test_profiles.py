@@ -22,7 +22,7 @@ def plot(folder, *words):
     CliRunner().invoke(commands, ["plot", str(folder), *words], catch_exceptions=False)
 
 
-LINE = {"line": {"from": [0.0, 0.25], "to": [1.0, 0.75], "n": 9}}
+LINE = {"line": {"from": [0.0, 0.25], "to": [1.0, "3/4"], "n": 9}}
 
 
 @pytest.mark.parametrize("element", ("P1", "P2", "Q1", "Q2"))
@@ -123,20 +123,6 @@ def test_plot_along(folder):
     assert table["gap"].min() < 1e-2 and (folder / "along.png").exists()
     with pytest.raises(InputError, match="expected two points"):
         plot(folder, "--along", "0,0")
-
-
-# film pressure at theta = pi/8, 2 pi/8, ... along the middle of a journal bearing, L/D = 1, eccentricity 0.6, by finite
-# differences on 960 x 320 intervals with an active set; on 480 x 160 the first six differ by less than 2e-4
-FILM = [0.19887, 0.44077, 0.78141, 1.29813, 2.06217, 2.93302, 3.0159, 1.3285, 0.0, 0.0, 0.0, 0.0]
-
-
-def test_journal_bearing_along_its_middle():
-    """The pressure of the unrolled film is within 0.5 % of the largest one."""
-    middle = {"from": ["pi/8", 0], "to": ["12*pi/8", 0], "n": 12}
-    scene = Scene(mesh={"shape": "rectangle", "x": [0, "2*pi"], "y": [-1, 1], "cells": 96}, define={"ecc": 0.6},
-                  tension="(1 + ecc*cos(x))^3", load="6*ecc*sin(x)", lower=0, profile={"middle": middle})  # fmt: skip
-    found = profiles_of(solve(scene))["middle"]
-    assert np.abs(found.u - FILM).max() < 0.005 * 3.175
 
 
 BLOCK = {"mesh": {"shape": "rectangle", "cells": 4}, "elasticity": {"young": 1, "poisson": 0, "plane": "strain"}}
