@@ -289,23 +289,12 @@ def test_one_node_in_contact_keeps_its_line():
     assert measure(line) > 0
 
 
-def cylinder():
-    n, m = 24, 8
-    angle, z = np.meshgrid(np.arange(n) * 2 * np.pi / n, np.linspace(-1, 1, m + 1))
-    points = np.stack([np.cos(angle), np.sin(angle), z], axis=-1).reshape(-1, 3)
-    a = (np.arange(m)[:, None] * n + np.arange(n)).ravel()
-    b = (np.arange(m)[:, None] * n + (np.arange(n) + 1) % n).ravel()
-    cells = np.concatenate([np.stack([a, b, a + n], axis=1), np.stack([b, b + n, a + n], axis=1)])
-    return mesh_of(points, cells)
-
-
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.usefixtures("matplotlib_draws")
 def test_a_surface_in_space_has_a_picture(folder):
-    answer = solve(Scene(mesh=cylinder(), tension=1, load="3*y", lower=0, u="film pressure"), eps=1e-4)
-    answer.plot(folder / "cylinder.png")
-    picture = pixels(folder / "cylinder.png")
+    solve(Scene.read(DEMOS / "bearing.toml")).plot(folder / "bearing.png")
+    picture = pixels(folder / "bearing.png")
     # deep red: the contact pressure
     assert np.count_nonzero((picture[..., 0] > 0.4) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.3)) > 1000
 
@@ -354,32 +343,16 @@ def test_pyvista_draws_where_it_is(ball, folder):
     assert said.endswith("drawn by pyvista")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("ending", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
-@pytest.mark.usefixtures("matplotlib_draws")
-def test_the_name_says_the_kind(ending, begins, disk, folder):
-    solve(disk, cells=4).plot(folder / f"disk.{ending}")
-    assert (folder / f"disk.{ending}").read_bytes().startswith(begins)
-    assert [path.name for path in folder.iterdir()] == [f"disk.{ending}"]
-
-
 @pytest.mark.usefixtures("matplotlib_draws")
 def test_a_notebook_shows_a_picture(disk, folder):
-    """Jupyter looks for `_repr_png_`; rank 0 draws, the others have words."""
+    """Jupyter looks for `_repr_png_`; rank 0 draws, the others have words. All say that a file cannot be written."""
     answer = solve(disk, cells=4)
     for picture in (answer.plot(), answer.plot(folder / "disk.png")):
         data = picture._repr_png_()
         assert "drawn by matplotlib" in repr(picture)
         assert data.startswith(b"\x89PNG") if COMM.rank == 0 else data is None
-
-
-@pytest.mark.slow
-def test_a_picture_that_cannot_be_written(disk, folder):
-    answer = solve(disk, cells=4)
     with pytest.raises(InputError):
         answer.plot("/proc/nowhere/answer.png")
-    with pytest.raises(InputError, match=r"disk.doc: pictures are written as .png, .pdf, .svg"):
-        answer.plot(folder / "disk.doc")
 
 
 @pytest.mark.slow
