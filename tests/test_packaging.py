@@ -146,15 +146,6 @@ def package(folder, *names):
 
 
 HEAVY = {"matplotlib", "pyvista", "gmsh", "PIL", "tests"}
-UNWANTED = {
-    "time": package("answers", "time_stepper", "steps") | package("answers", "data_within_steps"),
-    "reports": package("scenes", "functionals") | package("mesh", "boundary_distance"),
-    "Newton at work": package("show", "newton"),
-    "bodies": package("answers", "bodies") | package("scenes", "bodies") | package("forms", "elasticity")
-    | package("discrete", "contact_nodes", "rigid_motions", "vector_levels", "vector_problem")
-    | package("problems", "vector_valued") | package("fields", "vector", "contact_table"),
-    "drift and parts of the boundary": package("discrete", "residence_time") | package("data", "measures"),
-}  # fmt: skip
 EFFECTS = package("effects", "domain", "domain.tension", "effect", "field", "plugin")
 OF_SUPPORTS = package("effects", "boundary", "boundary.spring", "domain.foundation")
 
@@ -173,9 +164,6 @@ def test_commands_import_what_they_need(tmp_path):
         "solve plain.toml", "solve supported.toml", "explain plain.toml", "scenes", "compare out/plain out/plain",
         f"solve {seam} --output out/seam", "plot out/plain --output u.svg", folder=tmp_path,
     )  # fmt: skip
-    for names in UNWANTED.values():
-        assert all(find_spec(name) for name in names)  # a module that was renamed is none that is missing
-        assert not names & plain
     assert effects(plain) == EFFECTS and not {"scipy", "tqdm"} & plain
     # effects of the scene, with the parts of the boundary that they act on, and no others
     assert effects(supported) == EFFECTS | OF_SUPPORTS and "fenicsx_obstacle.data.measures" in supported
