@@ -11,7 +11,6 @@ import pytest
 from mpi4py import MPI
 
 from fenicsx_obstacle import solve
-from fenicsx_obstacle.algebra.linear_solvers import defaults
 from fenicsx_obstacle.algebra.newton import smallest_eps
 from fenicsx_obstacle.algebra.options import SolverOptions
 from fenicsx_obstacle.algebra.stopping import TOLERANCE
@@ -116,33 +115,19 @@ def moved(s):
     return replace(pressed(s, 1.001), w=s.w + 1e-7 * s.ground.free)
 
 
-# findings of a wrong answer; the others of one answer are those of `verify`, whose test falsifies them
-WRONG = {
-    "loads, contact and edges balance": lambda s: of_one(
-        replace(s[1e-4], elastic=s[1e-4].elastic + np.where(s[1e-4].ground.free, 0, 1e-6))
-    ),
-    "the lower obstacle never pulls": lambda s: of_one(replace(s[None], p=-s[None].p)),
-    "penalty and inequality: energy norm": lambda s: beside_inequality(replace(s[1e-2], eps=1e-8), s[None]),
-    "penalty and inequality: size of the pressure": lambda s: beside_inequality(pressed(s[1e-8], 1.01), s[None]),
-    "penetration": lambda s: beside_inequality(replace(s[1e-8], below=1.1 * s[1e-8].below), s[None]),
-    "the inequality's u is farther from the lower obstacle": lambda s: beside_inequality(
-        replace(s[1e-8], w=s[1e-8].w + 1e-9), s[None]
-    ),
-    "but by no more than the penetration": lambda s: beside_inequality(replace(s[1e-8], w=s[1e-8].w - 1e-6), s[None]),
-    "energy below the inequality's": lambda s: beside_inequality(
-        replace(s[1e-8], energy=s[1e-8].energy + 1e-3), s[None]
-    ),
-    "u moves out of the obstacle as eps falls": lambda s: falling(s[1e-4], s[1e-2]),
-    "energy rises as eps falls": lambda s: falling(s[1e-4], s[1e-2]),
-    "another: the same u in the energy norm": lambda s: same(s[1e-4], moved(s[1e-4]), "another"),
-    "another: the same u at every node": lambda s: same(s[1e-4], moved(s[1e-4]), "another"),
-    "another: the same pressure": lambda s: same(s[1e-4], moved(s[1e-4]), "another"),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_answer_is_found_out(name, answers):
-    assert name in [finding.name for finding in violated(WRONG[name](answers))]
+@pytest.mark.parametrize(
+    ("name", "findings"),
+    [("balance", lambda s: of_one(replace(s[1e-4], elastic=s[1e-4].elastic + np.where(s[1e-4].ground.free, 0, 1e-6)))),
+     ("pulls", lambda s: of_one(replace(s[None], p=-s[None].p))),
+     ("energy norm", lambda s: beside_inequality(replace(s[1e-2], eps=1e-8), s[None])),
+     ("size of the pressure", lambda s: beside_inequality(pressed(s[1e-8], 1.01), s[None])),
+     ("penetration", lambda s: beside_inequality(replace(s[1e-8], below=1.1 * s[1e-8].below), s[None])),
+     ("energy rises", lambda s: falling(s[1e-4], s[1e-2])),
+     ("at every node", lambda s: same(s[1e-4], moved(s[1e-4]), "another"))],
+)  # fmt: skip
+def test_wrong_answer_is_found_out(name, findings, answers):
+    """Of each kind of invariant one; the others of one answer are those of `verify`, whose test falsifies them."""
+    assert any(name in finding.name for finding in violated(findings(answers)))
 
 
 def test_right_answers_violate_nothing(answers):
@@ -160,17 +145,6 @@ def test_energy_of_rules_that_differ():
     """Tension, load and foundation (nodal rule) of u = x: 1/2 - 2/2 + (3/2)/2; load and foundation differ in rule."""
     scene = membrane(foundation=3, load=2, boundary=[{"value": "x"}], mesh={"shape": "rectangle", "cells": 1})
     assert np.isclose(solve(scene).record["energy"], 0.25)
-
-
-@pytest.mark.slow
-def test_verdicts_of_what_goes_wrong():
-    """A scene that should be rejected and is not, and a solver that gives up: FAILED, with the reason."""
-    rows = list(judge(case("lake").on(0), COMM, (1e-4,), refuse="no u satisfies both"))
-    assert {row["verdict"] for row in rows} == {FAILED}
-    with defaults("penalty_", {"snes_max_it": 1}), defaults("vi_", {"snes_max_it": 1}):
-        rows = list(judge(case("spiral").on(0), COMM, (1e-4,)))
-    assert {row["verdict"] for row in rows} == {FAILED}
-    assert all("did not converge" in row["message"] for row in rows)
 
 
 @pytest.mark.serial

@@ -279,16 +279,6 @@ def test_an_obstacle_that_is_far_in_a_part_moves_no_line():
         assert measure(free_boundary(near)[0]) == pytest.approx(measure(free_boundary(far)[0]), rel=0.01)
 
 
-def test_one_node_in_contact_keeps_its_line():
-    """Smoothing does not take a small contact set away."""
-    patch = on_rank_0(solve(membrane(load=1, upper="0.06 + 10*hypot(x - 0.5, y - 0.5)")))
-    if COMM.rank != 0:
-        return
-    assert patch.fields["contact"].sum() == 1
-    (line,) = free_boundary(patch)
-    assert measure(line) > 0
-
-
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.usefixtures("matplotlib_draws")
@@ -384,18 +374,6 @@ def test_corners_in_contact_have_the_pressure_beside_them(mesh, element):
     patch = on_rank_0(solve(scene, element=element))
     x, p = patch.points[:, 0], patch.fields["pressure"]
     assert p[x == 0].min() > 1 and np.all(p[x > 0.5] == 0)
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(("dim", "lower", "filled"), [(1, 0, True), (1, -0.05, False), (2, 0, True), (2, -0.05, False)])
-@pytest.mark.usefixtures("matplotlib_draws")
-def test_the_label_says_where_pressures_are_of_neighbours(dim, lower, filled):
-    """Only a picture whose pressure at given values is that of neighbours says so."""
-    shape = {"shape": ("interval", "rectangle")[dim - 1], "cells": 8}
-    page = solve(membrane(mesh=shape, load=-3, lower=lower)).plot().page
-    labels = " ".join(axis.get_ylabel().replace("\n", " ") for axis in page.axes)
-    assert "computed at nodes, linear between" in labels
-    assert ("where u is given: the mean of the neighbours" in labels) == filled
 
 
 STIFF = {"cells": 16, "eps": 1e-6}
