@@ -4,15 +4,13 @@ A share of what `./obstacle hard --broken` tries, on the ranks of this session.
 """
 
 import re
-import shutil
-from pathlib import Path
 
 import pytest
 
 from fenicsx_obstacle import solve
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.scenes import catalogue
-from tests.cli.broken.case import Broken, complaint, time_limit
+from tests.cli.broken.case import complaint, time_limit
 from tests.cli.broken.collection import RIGHT, collect, make_meshes
 from tests.cli.broken.files import contradictions
 from tests.cli.broken.inside import attempt
@@ -64,19 +62,3 @@ def test_cases_of_each_kind(folder):
     cases = [case for case in of_each_kind(everything) if case.name not in known]
     assert len(everything) > 900 and len(cases) > 250
     assert not complaints(cases, folder)
-
-
-def test_complaints(tmp_path):
-    """What a refusal must not be."""
-    case = Broken("none", ["scene.toml"])
-    place = tmp_path / "case"
-    case.lay_out(place)
-    good = "Error: scene.toml: no"
-    assert complaint(case, 2, good, 0.1, place) is None
-    for status, said, seconds in [(0, good, 0.1), (None, good, 0.1), (2, "Error: no", 0.1), (2, good, 6.0),
-                                  (2, good + "\nTraceback", 0.1), (2, good + "\n" + good, 0.1), (2, "", 0.1),
-                                  (2, good + "x" * 1000, 0.1)]:  # fmt: skip
-        assert complaint(case, status, said, seconds, place) is not None
-    Path(place / "out").mkdir()
-    assert complaint(case, 2, good, 0.1, place) == "left out behind"
-    shutil.rmtree(place)

@@ -6,12 +6,10 @@ from math import log, pi
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 
 from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.answers.solver_context import SolverContext
 from fenicsx_obstacle.scenes import catalogue
-from fenicsx_obstacle.show.explain import explain
 from fenicsx_obstacle.studies.orders import order
 from tests.conftest import COMM, DEMOS, membrane, slow_except
 from tests.helpers import inside, run
@@ -55,14 +53,6 @@ def points_within(scene, count=20000):
     return x
 
 
-def test_all_rows_are_there():
-    assert len(catalogue.names()) == 17
-    for name in catalogue.names():
-        exact = catalogue.scene(name).tables.exact
-        assert exact.free and exact.regularity
-        assert (exact.pressure is None) == ("p a measure" in exact.regularity)
-
-
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_obstacles_and_complementarity(variant):
     """lower <= u <= upper; p <= 0 where u = upper, p >= 0 where u = lower, p = 0 elsewhere; u is the boundary value."""
@@ -103,25 +93,6 @@ def test_equation(variant):
     if variant == "cone" or variant == "blunt cone":  # grad p is not bounded at the tip
         wrong &= np.hypot(*x[:2]) > 0.05
     assert np.mean(wrong) < 0.01
-
-
-def test_free_boundaries_are_roots():
-    """Values of the equations in the files' comments."""
-    W = lambda r, a: r * r / 2 - a * a * log(r)  # noqa: E731
-    equations = {
-        "disk_flat": lambda a: 4 * (1 - a * a) / 4 + 4 * a * a / 2 * log(a) - 0.3,
-        "ball": lambda a: a * a * (1 + log(2 / a)) - 1,
-        "disk_mu_jump": lambda a: 2 * ((W(1, a) - W(0.6, a)) + (W(0.6, a) - W(a, a)) / 5) - 0.35,
-        "cone": lambda a: 1 - a * a + (a + 2 * a * a) * log(a) - 0.2 - a,
-        "string_mu_jump": lambda a: 4 * ((a * a - (a - 0.15) ** 2) + (a - 0.15) ** 2 / 5) - 0.3,
-    }
-    u_values = {"disk_flat": ("c", 0.3), "ball": ("R", 2), "disk_mu_jump": ("c", 0.35), "cone": ("c", 0.2)}
-    for name, equation in equations.items():
-        scene, origin = catalogue.scene(name), np.zeros((3, 1))
-        root = brentq(equation, 0.15, 0.9, xtol=1e-15, rtol=1e-15)
-        assert abs(at(scene, "a", origin)[0] - root) < 1e-15
-        if name in u_values:
-            assert np.isclose(at(scene, u_values[name][0], origin)[0], u_values[name][1], rtol=1e-14)
 
 
 # Grids and parameters to take. The errors of the variational inequality vary with the place of the free boundary in
@@ -225,12 +196,6 @@ def test_pressure_error_of_a_known_pressure():
         errors = solve(membrane(**string, exact={"u": 0, "pressure": 1}), method=method, eps=1e-9).record["errors"]
         assert np.isclose(errors["pressure_l2"], (2 / 16 / 3) ** 0.5, rtol=1e-6)
     assert "pressure_l2" not in solve(membrane(**string, exact=0)).record["errors"]
-
-
-def test_explain_says_what_is_known():
-    text = explain(catalogue.scene("cone"))
-    for part in ("p = where(r < a, -(f + s/r), 0)", "free boundary: r = a", "u in H^(2-)", "pressure_l2 0,"):
-        assert part in text
 
 
 def test_demos_are_the_catalogue_s():

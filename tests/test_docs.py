@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import re
 import runpy
 import shlex
@@ -18,7 +19,7 @@ from sybil import Sybil
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser, SkipParser
 
-from fenicsx_obstacle import Answer, Scene, solve
+from fenicsx_obstacle import Scene, solve
 from fenicsx_obstacle.cli import commands
 from fenicsx_obstacle.effects.effect import known
 from fenicsx_obstacle.forms.pairs import pairs
@@ -172,28 +173,13 @@ def test_scenes_are_described():
     assert all(key in names for key in known() | known("boundary"))
 
 
-def keys_of(record):
-    """All keys of nested dictionaries and lists of them."""
-    for key, value in record.items():
-        yield key
-        parts = value if isinstance(value, list) else [value]
-        for part in parts:
-            if isinstance(part, dict) and key not in ("report", "versions", "vary"):
-                yield from keys_of(part)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("ball", {"tol": 0.5}),
-        ("disk", {"cells": 8, "method": "successive"}),
-        ("pollutant", {"cells": 8}),
-        ("put", {"cells": 8}),
-    ],
-)
+    ("name", "options"), [("ball", {"tol": 0.5}), ("disk", {"cells": 8, "method": "successive"}),
+                          ("pollutant", {"cells": 8}), ("put", {"cells": 8})],
+)  # fmt: skip
 def test_results_are_described(name, options):
     """docs/results.md has each field of answer.json."""
-    answer = solve(Scene.read(DEMOS / f"{name}.toml"), **options)
-    assert isinstance(answer, Answer)
-    assert set(keys_of(answer.record)) <= described("results.md")
+    record = solve(Scene.read(DEMOS / f"{name}.toml"), **options).record
+    kept = {key: value for key, value in record.items() if key not in ("report", "versions")}
+    assert set(re.findall(r'"(\w+)":', json.dumps(kept))) <= described("results.md")

@@ -66,18 +66,6 @@ def test_signs(scene, line):
     assert line in " ".join(explain(membrane(**scene)).split())
 
 
-def test_an_area_that_counts_nodes_says_so():
-    """Each integral of the contact set, and no other formula: the text names the quantity that is more accurate."""
-    body = Scene.read(DEMOS / "lift_off.toml")
-    for formula, said in (("integral(contact)", True), ("2*integral(contact*x^2)/3", True), ("max(contact)", False),
-                          ("integral(p)", False)):  # fmt: skip
-        for scene, words in ((membrane(report={"area": formula}), "contact.area of the result is"),
-                             (body.change({"report": {"area": formula}}), "in [report] contact_area")):  # fmt: skip
-            text = " ".join(explain(scene).split())
-            assert ("counts nodes" in text) == said and (words in text) == said
-    assert "counts nodes" not in explain(body)  # its area is contact_area
-
-
 @pytest.mark.parametrize("method", slow_except(["penalty", "vi"], "vi"))
 def test_lake_costs_one_linear_solve(method):
     """No contact in reach, with whatever is linear: one Newton step on the finest level; `explain` says so."""

@@ -150,9 +150,7 @@ def test_enclosures(kind, corners):
         assert np.all((values >= bounds.lower[:, None]) & (values <= bounds.upper[:, None]))
         linear, rest, _ = known.linear(np.arange(300))
         assert np.all(np.abs(values - linear @ weights.T) <= rest[:, None] + 1e-12)
-        inside = bounds.whole
-        bent = np.abs(known.values(2, np.arange(300)) - known.values(2, np.arange(300))).max()
-        assert bent == 0 and (inside.mean() > 0.8 or size > 0.003)
+        assert bounds.whole.mean() > 0.8 or size > 0.003
 
 
 @pytest.mark.serial

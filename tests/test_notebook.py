@@ -1,8 +1,6 @@
-"""The seminar runs section by section, tutorials as a whole; what they assert holds on any number of ranks."""
+"""The seminar and the tutorials run as a whole; what they assert holds on any number of ranks."""
 
 import runpy
-from pathlib import Path
-from typing import NamedTuple
 
 import matplotlib
 import matplotlib.pyplot as plt
@@ -11,34 +9,7 @@ import pytest
 from fenicsx_obstacle.effects import effect
 from tests.conftest import COMM, DEMOS, slow_except
 
-NOTEBOOK = Path(__file__).parent.parent / "docs" / "kikuchi_in_an_hour.py"
-
-
-class Cell(NamedTuple):
-    """A code cell: the heading above it, the line where it begins, its source."""
-
-    title: str
-    line: int
-    source: str
-
-
-def cells_of(path):
-    """Code cells of a file in jupytext's percent format."""
-    title, found, start, code = "", [], 0, []
-    for number, text in enumerate([*path.read_text().splitlines(), "# %%"], start=1):
-        if text.startswith("# ## "):
-            title = text.removeprefix("# ## ")
-        if not text.startswith("# %%"):
-            code.append(text)
-            continue
-        source = "\n".join(code)
-        if start and source.strip():
-            found.append(Cell(title, start, source))
-        start, code = (0 if "[markdown]" in text else number), []
-    return found
-
-
-FIRST, *SECTIONS = cells_of(NOTEBOOK)
+SEMINAR = DEMOS.parent / "docs" / "kikuchi_in_an_hour.py"
 TUTORIALS = sorted(file for file in DEMOS.glob("*.py") if "# %% [markdown]" in file.read_text())
 QUICK = {"membrane", "one_added_line"}
 
@@ -52,37 +23,22 @@ def no_effects_stay():
             del effect._register[key]
 
 
-@pytest.fixture(autouse=True)
-def quiet_pictures():
-    plt.switch_backend("Agg")
-    with matplotlib.rc_context():
-        yield
-    plt.close("all")
-
-
-@pytest.mark.parametrize("cell", slow_except(SECTIONS, SECTIONS[0]), ids=[cell.title for cell in SECTIONS])
-def test_section(cell, folder, monkeypatch):
-    """The cell's assertions hold, and its picture is written."""
-    monkeypatch.chdir(folder)
-    names = {"__name__": "__main__"}
-    for one in (FIRST, cell):  # tracebacks name the line of the file
-        exec(compile("\n" * one.line + one.source, NOTEBOOK, "exec"), names)
-    COMM.barrier()
-    number = cell.title.split(".")[0]
-    (picture,) = folder.glob(f"out/kikuchi/{number}_*.png")
-    assert picture.stat().st_size > 10000
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "file", slow_except(TUTORIALS, *(file for file in TUTORIALS if file.stem in QUICK)), ids=lambda file: file.stem
-)
+    "file", slow_except([SEMINAR, *TUTORIALS], SEMINAR, *(file for file in TUTORIALS if file.stem in QUICK)),
+    ids=lambda file: file.stem,
+)  # fmt: skip
 def test_tutorial(file, folder, monkeypatch):
-    """Its assertions hold, and its picture is written."""
+    """Its assertions hold, and its pictures are written, of the seminar one for each section."""
     monkeypatch.chdir(folder)
     if COMM.rank == 0:
         (folder / "demos").symlink_to(DEMOS)
     COMM.barrier()
-    runpy.run_path(str(file), run_name="__main__")
+    plt.switch_backend("Agg")
+    with matplotlib.rc_context():
+        runpy.run_path(str(file), run_name="__main__")
+    plt.close("all")
     COMM.barrier()
-    assert (folder / f"{file.stem}.png").stat().st_size > 10000
+    names = [f"{file.stem}.png"] if file != SEMINAR else [f"out/kikuchi/{n}_*.png" for n in range(1, 9)]
+    pictures = [next(folder.glob(name)) for name in names]
+    assert all(picture.stat().st_size > 10000 for picture in pictures)

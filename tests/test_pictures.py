@@ -279,33 +279,12 @@ def test_an_obstacle_that_is_far_in_a_part_moves_no_line():
         assert measure(free_boundary(near)[0]) == pytest.approx(measure(free_boundary(far)[0]), rel=0.01)
 
 
-def test_one_node_in_contact_keeps_its_line():
-    """Smoothing does not take a small contact set away."""
-    patch = on_rank_0(solve(membrane(load=1, upper="0.06 + 10*hypot(x - 0.5, y - 0.5)")))
-    if COMM.rank != 0:
-        return
-    assert patch.fields["contact"].sum() == 1
-    (line,) = free_boundary(patch)
-    assert measure(line) > 0
-
-
-def cylinder():
-    n, m = 24, 8
-    angle, z = np.meshgrid(np.arange(n) * 2 * np.pi / n, np.linspace(-1, 1, m + 1))
-    points = np.stack([np.cos(angle), np.sin(angle), z], axis=-1).reshape(-1, 3)
-    a = (np.arange(m)[:, None] * n + np.arange(n)).ravel()
-    b = (np.arange(m)[:, None] * n + (np.arange(n) + 1) % n).ravel()
-    cells = np.concatenate([np.stack([a, b, a + n], axis=1), np.stack([b, b + n, a + n], axis=1)])
-    return mesh_of(points, cells)
-
-
 @pytest.mark.variant
 @pytest.mark.slow
 @pytest.mark.usefixtures("matplotlib_draws")
 def test_a_surface_in_space_has_a_picture(folder):
-    answer = solve(Scene(mesh=cylinder(), tension=1, load="3*y", lower=0, u="film pressure"), eps=1e-4)
-    answer.plot(folder / "cylinder.png")
-    picture = pixels(folder / "cylinder.png")
+    solve(Scene.read(DEMOS / "bearing.toml")).plot(folder / "bearing.png")
+    picture = pixels(folder / "bearing.png")
     # deep red: the contact pressure
     assert np.count_nonzero((picture[..., 0] > 0.4) & (picture[..., 1] < 0.2) & (picture[..., 2] < 0.3)) > 1000
 
@@ -354,32 +333,16 @@ def test_pyvista_draws_where_it_is(ball, folder):
     assert said.endswith("drawn by pyvista")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("ending", "begins"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")])
-@pytest.mark.usefixtures("matplotlib_draws")
-def test_the_name_says_the_kind(ending, begins, disk, folder):
-    solve(disk, cells=4).plot(folder / f"disk.{ending}")
-    assert (folder / f"disk.{ending}").read_bytes().startswith(begins)
-    assert [path.name for path in folder.iterdir()] == [f"disk.{ending}"]
-
-
 @pytest.mark.usefixtures("matplotlib_draws")
 def test_a_notebook_shows_a_picture(disk, folder):
-    """Jupyter looks for `_repr_png_`; rank 0 draws, the others have words."""
+    """Jupyter looks for `_repr_png_`; rank 0 draws, the others have words. All say that a file cannot be written."""
     answer = solve(disk, cells=4)
     for picture in (answer.plot(), answer.plot(folder / "disk.png")):
         data = picture._repr_png_()
         assert "drawn by matplotlib" in repr(picture)
         assert data.startswith(b"\x89PNG") if COMM.rank == 0 else data is None
-
-
-@pytest.mark.slow
-def test_a_picture_that_cannot_be_written(disk, folder):
-    answer = solve(disk, cells=4)
     with pytest.raises(InputError):
         answer.plot("/proc/nowhere/answer.png")
-    with pytest.raises(InputError, match=r"disk.doc: pictures are written as .png, .pdf, .svg"):
-        answer.plot(folder / "disk.doc")
 
 
 @pytest.mark.slow
@@ -411,18 +374,6 @@ def test_corners_in_contact_have_the_pressure_beside_them(mesh, element):
     patch = on_rank_0(solve(scene, element=element))
     x, p = patch.points[:, 0], patch.fields["pressure"]
     assert p[x == 0].min() > 1 and np.all(p[x > 0.5] == 0)
-
-
-@pytest.mark.serial
-@pytest.mark.parametrize(("dim", "lower", "filled"), [(1, 0, True), (1, -0.05, False), (2, 0, True), (2, -0.05, False)])
-@pytest.mark.usefixtures("matplotlib_draws")
-def test_the_label_says_where_pressures_are_of_neighbours(dim, lower, filled):
-    """Only a picture whose pressure at given values is that of neighbours says so."""
-    shape = {"shape": ("interval", "rectangle")[dim - 1], "cells": 8}
-    page = solve(membrane(mesh=shape, load=-3, lower=lower)).plot().page
-    labels = " ".join(axis.get_ylabel().replace("\n", " ") for axis in page.axes)
-    assert "computed at nodes, linear between" in labels
-    assert ("where u is given: the mean of the neighbours" in labels) == filled
 
 
 STIFF = {"cells": 16, "eps": 1e-6}

@@ -1,9 +1,14 @@
-"""The suite: each hard scene in separate processes, two scenes at a time."""
+"""The suite: each hard scene in separate processes, two scenes at a time.
+
+Such a process is `[mpirun -n N] python -m tests.hard.suite NAME FILE`: on one rank rows go to standard output as JSON
+lines; on any number of ranks the fields to compare go into the file.
+"""
 
 from __future__ import annotations
 
 import json
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -15,11 +20,12 @@ from mpi4py import MPI
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.launcher import environment
-from tests.hard.cases import Case
-from tests.hard.judge import METHODS, TRIAL
-from tests.hard.ranks import agree_on
+from fenicsx_obstacle.parallel import abort_on_uncaught_errors
+from tests.hard.cases import Case, case
+from tests.hard.judge import METHODS, TRIAL, judge
+from tests.hard.ranks import agree_on, fields_of
 from tests.hard.row import FAILED, Row, judged_row
-from tests.processes import end, launch_module, start
+from tests.processes import end, launch_module, start, tell
 
 AT_ONCE = 2
 RANKS = (2, 3)
@@ -47,7 +53,7 @@ def rows_of(one: Case) -> list[Row]:
     """The rows of a case: those its process wrote, and one for each number of ranks."""
     with tempfile.TemporaryDirectory(prefix="obstacle-") as folder:
         file = Path(folder) / "1.npz"
-        text, trouble = _process(launch_module(1, "tests.hard.run_case", one.name, str(file)))
+        text, trouble = _process(launch_module(1, "tests.hard.suite", one.name, str(file)))
         rows = [json.loads(line) for line in text.splitlines() if line.startswith("{")]
         if trouble:
             return [*rows, _lost(one, trouble)]
@@ -57,7 +63,7 @@ def rows_of(one: Case) -> list[Row]:
 def _on_ranks(one: Case, alone: Path, folder: Path) -> Iterator[Row]:
     for ranks in RANKS:
         began, file = time.perf_counter(), folder / f"{ranks}.npz"
-        _, trouble = _process(launch_module(ranks, "tests.hard.run_case", one.name, str(file)))
+        _, trouble = _process(launch_module(ranks, "tests.hard.suite", one.name, str(file)))
         if trouble:
             yield _lost(one, f"on {ranks} ranks {trouble}")
             continue
@@ -98,3 +104,21 @@ def _lost(one: Case, message: str) -> Row:
         "case": one.name, "family": one.family, "mesh": None, "method": "", "asked": None, "trial": "",
         "verdict": FAILED, "message": message, "findings": [],
     }  # fmt: skip
+
+
+def main() -> None:
+    """Judge both meshes of the case named on the command line, and write the fields of its coarse mesh (collective)."""
+    comm, one = MPI.COMM_WORLD, case(sys.argv[1])
+    abort_on_uncaught_errors(comm)
+    for mesh, value in enumerate(one.meshes if comm.size == 1 else ()):
+        units = mesh == 0 and not one.refuse
+        for row in judge(one.on(mesh), refuse=one.refuse, known=one.known, starts=True, units=units):
+            tell({"case": one.name, "family": one.family, "mesh": value, **row})
+    if one.compared:
+        found = fields_of(one.on(0), comm)
+        if comm.rank == 0:
+            np.savez(Path(sys.argv[2]), **found)
+
+
+if __name__ == "__main__":
+    main()

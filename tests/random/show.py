@@ -15,6 +15,7 @@ from fenicsx_obstacle.launcher import environment
 from fenicsx_obstacle.parallel import on_root
 from fenicsx_obstacle.safe_writing import write_lines
 from fenicsx_obstacle.studies.rows import RowStore
+from fenicsx_obstacle.text import columns
 from tests.hard.row import FAILED, Row
 from tests.hard.suite import one_rank
 from tests.random.draw import SEED, run, shares
@@ -76,11 +77,9 @@ def show_random(
 
 def table(rows: Sequence[Row]) -> str:
     """The bounds of each family and their true errors."""
-    families = list(dict.fromkeys(row["family"] for row in rows))
-    lines = [HEADS, *(_line(name, [row for row in rows if row["family"] == name]) for name in families)]
-    lines.append(_line("all", rows))
-    width = max(len(line[0]) for line in lines)
-    return "\n".join([*(f"{line[0]:{width}} " + " ".join(f"{cell:>9}" for cell in line[1:]) for line in lines), LEGEND])
+    families = dict.fromkeys(row["family"] for row in rows)
+    lines = [_line(name, [row for row in rows if row["family"] == name]) for name in families]
+    return "\n".join([*columns([HEADS, *lines, _line("all", rows)]), LEGEND])
 
 
 def _line(name: str, rows: Sequence[Row]) -> tuple[str, ...]:

@@ -8,17 +8,16 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
+from fenicsx_obstacle.text import counted
 from tests.cli.broken.case import LIMIT, Broken, complaint, time_limit
 from tests.cli.broken.collection import collect, prepare
+from tests.hard.row import FAILED, Row
 from tests.processes import end, launch, launch_module, records, start
 
 EVERY = {1: 8, 3: 24}  # which cases have processes of their own: each so manyth, and what only a process can show
 AT_ONCE = {1: 2, 3: 1}
 PATIENCE = 12 * LIMIT  # seconds after which a process is ended
-
-Row = dict[str, Any]
 
 
 def run(root: Path, environment: Mapping[str, str], ranks: Sequence[int] = (1, 3)) -> Iterator[Row]:
@@ -79,7 +78,8 @@ def _within(
 
 
 def _row(case: Broken, ranks: int, alone: bool, said: str, seconds: float, wrong: str | None) -> Row:
-    """A case that was tried: on how many ranks, whether in a process of its own, what the user saw, and what was wrong
-    with the refusal; None if it held."""
-    return {"case": case.name, "command": case.command(), "ranks": ranks, "alone": alone, "seconds": seconds,
-            "verdict": "held" if wrong is None else "FAILED", "message": said, "complaint": wrong}  # fmt: skip
+    """A case that was tried: how, what the user saw, and what was wrong with the refusal; None if it held."""
+    how = "each in a process of its own" if alone else "one after another in one process"
+    return {"group": f"on {counted(ranks, 'rank')}, {how}", "case": case.name, "command": case.command(),
+            "seconds": seconds, "verdict": "held" if wrong is None else FAILED, "message": said,
+            "complaint": wrong}  # fmt: skip

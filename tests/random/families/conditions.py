@@ -8,11 +8,14 @@ from typing import Any
 
 import sympy
 from hypothesis import strategies as st
+from sympy import Expr
 
 from tests.random.families.manufactured import (
     Circle,
+    Line,
     Manufactured,
     Piecewise,
+    Side,
     distance,
     everywhere,
     expression,
@@ -46,108 +49,75 @@ class Term:
     places: tuple[float, float]
     spelling: int
 
-    def both(self) -> tuple[Piecewise, str]:
-        """u and the load."""
-        kinds = {
-            "step": self._step, "abs": self._abs, "min": self._least, "max": self._least, "and": self._and,
-            "or": self._or, "floor": self._floor, "disc": self._disc, "lens": self._lens,
-        }  # fmt: skip
-        return kinds[self.kind]()
+    def u(self) -> Piecewise:
+        """Its u."""
+        (a, b, s, t, _), size, zero = self._lines(), self.size, sympy.Integer(0)
+        if self.kind in ("min", "max"):
+            return self._least()
+        if self.kind == "floor":  # of k s, which is n between n/k and (n + 1)/k
+            k, many = self._steps, floor(REACH + abs(a.place)) + 1
+            ends = [line_at(self.angles[0], self.places[0] + (n + 1) / k) for n in range(-many * k, many * k)]
+            values = [self._between(sympy.Integer(n), s) for n in range(-many * k, many * k)]
+            return Piecewise([*(([(end, True)], one) for end, one in zip(ends[:-1], values[:-1], strict=True)),
+                              ((), values[-1])])  # fmt: skip
+        circle, squared, R = Circle(self.angles, self.places[0]), square(self.angles), self.places[0]
+        beyond = -size * R**2 * (sympy.log(squared / R**2) + 1) / 4 if self.kind == "disc" else zero
+        kinds: dict[str, tuple[list[Side], Expr, Expr]] = {
+            "step": ([(a, True)], zero, -size * s**2 / 2),
+            "abs": ([(a, True)], size * s**3 / 6, -size * s**3 / 6),
+            "and": ([(a, False), (b, False)], -size * s**2 * t**2, zero),
+            "or": ([(a, False), (b, False)], -size * (s**2 * t**2 - s**4), size * s**4),
+            "disc": ([(circle, True)], -size * squared / 4, beyond),
+            "lens": ([(circle, True)], size * (R**2 - squared) ** 2 / 8, zero),
+        }
+        sides, inside, outside = kinds[self.kind]
+        return Piecewise([(sides, inside), ((), outside)])
 
-    def _lines(self) -> tuple[Any, Any, Any, Any, float]:
+    def load(self) -> str:
+        """The load."""
+        _, _, s, t, _ = self._lines()
+        size, own = repr(self.size), {"abs": f"abs({s})", "floor": f"floor({self._steps}*({s}))"}
+        own |= {"step": f"(1 + sign({s}))/2", **{kind: f"{kind}({s}, {t})" for kind in ("min", "max")}}
+        if self.kind == "floor" or (self.kind in own and self.spelling % 4 == 3):
+            return f"{size}*{own[self.kind]}"
+        if self.kind == "disc":  # outside u is harmonic, which no simplification shows
+            load = Piecewise([(self.u().parts[0][0], sympy.Float(self.size)), ((), sympy.Integer(0))])
+        else:
+            load = self.u().map(load_of, everywhere(1))
+        return load.text(self.spelling, products=True)
+
+    @property
+    def _steps(self) -> int:
+        """In a unit of length."""
+        return 1 + self.spelling % 2
+
+    def _lines(self) -> tuple[Line, Line, Expr, Expr, float]:
         """Two lines, the distances from them, and the cosine of their angle."""
         a, b = (line_at(angle, at) for angle, at in zip(self.angles, self.places, strict=True))
         return a, b, distance(a), distance(b), cos(self.angles[1] - self.angles[0])
 
-    def _spelled(self, *texts: str) -> str:
-        return texts[self.spelling % len(texts)]
-
-    def _step(self) -> tuple[Piecewise, str]:
-        a, _, s, _, _ = self._lines()
-        u = Piecewise([([(a, True)], sympy.Integer(0)), ((), -self.size * s**2 / 2)])
-        c = repr(self.size)
-        return u, self._spelled(f"where({s} < 0, 0, {c})", f"{c}*({s} >= 0)", f"{c}*(1 + sign({s}))/2",
-                                f"{c}*(not {s} < 0)")  # fmt: skip
-
-    def _abs(self) -> tuple[Piecewise, str]:
-        a, _, s, _, _ = self._lines()
-        u = Piecewise([([(a, True)], self.size * s**3 / 6), ((), -self.size * s**3 / 6)])
-        return u, self._spelled(f"{self.size!r}*abs({s})", f"{self.size!r}*max({s}, -({s}))",
-                                f"where({s} < 0, -1, 1)*({self.size!r})*({s})")  # fmt: skip
-
-    def _least(self) -> tuple[Piecewise, str]:
+    def _least(self) -> Piecewise:
         """The larger of two distances is s + max(0, t - s), the smaller one s - max(0, s - t)."""
         (a, b, s, t, angle), sign = self._lines(), 1 if self.kind == "max" else -1
         (p, q), (v, w) = a.direction, b.direction
-        between = type(a)((v - p, w - q), b.place - a.place)  # t < s below it
+        between = Line((v - p, w - q), b.place - a.place)  # t < s below it
         rest = sign * (t - s)
         bent = -self.size * (s**3 / 6 + sign * rest**3 / (6 * (2 - 2 * angle)))
-        straight = -self.size * s**3 / 6
         # max: bent where t > s; min: bent where t < s
-        u = Piecewise([([(between, sign < 0)], bent), ((), straight)])
-        order = f"{s} > {t}" if sign > 0 else f"{s} < {t}"
-        return u, self._spelled(f"{self.size!r}*{self.kind}({s}, {t})", f"{self.size!r}*where({order}, {s}, {t})",
-                                f"{self.size!r}*(({s}) + ({t}) + {sign}*abs(({s}) - ({t})))/2")  # fmt: skip
-
-    def _and(self) -> tuple[Piecewise, str]:
-        a, b, s, t, angle = self._lines()
-        u = Piecewise([([(a, False), (b, False)], -self.size * s**2 * t**2), ((), sympy.Integer(0))])
-        load = sympy.expand(self.size * (2 * (s**2 + t**2) + 8 * angle * s * t))
-        return u, self._spelled(f"where({s} > 0 and {t} > 0, {load}, 0)", f"where(min({s}, {t}) > 0, {load}, 0)",
-                                f"where({s} > 0, where({t} > 0, {load}, 0), 0)",
-                                f"({load})*({s} > 0)*({t} > 0)")  # fmt: skip
-
-    def _or(self) -> tuple[Piecewise, str]:
-        """As `_and`, where not (s <= 0 or t <= 0), and the Laplacian of s^4 everywhere."""
-        a, b, s, t, angle = self._lines()
-        inside = self.size * (s**2 * t**2 - s**4)
-        u = Piecewise([([(a, False), (b, False)], -inside), ((), self.size * s**4)])
-        away, load = -12 * self.size * s**2, self.size * (2 * (s**2 + t**2) + 8 * angle * s * t - 12 * s**2)
-        return u, self._spelled(f"where({s} <= 0 or {t} <= 0, {away}, {load})",
-                                f"where(not ({s} <= 0 or not {t} > 0), {load}, {away})",
-                                f"where(({s} <= 0 and {t} > 0) or {t} <= 0, {away}, {load})")  # fmt: skip
+        return Piecewise([([(between, sign < 0)], bent), ((), -self.size * s**3 / 6)])
 
     def value(self) -> str:
         """u as text."""
         if self.kind != "floor":
-            return self.both()[0].text(self.spelling)
-        k, s = 1 + self.spelling % 2, f"({self._lines()[2]})"
-        return (
-            str(self._between(sympy.Symbol("n"), k, sympy.Symbol("s"))).replace("s", s).replace("n", f"floor({k}*{s})")
-        )
+            return self.u().text(self.spelling)
+        s = f"({self._lines()[2]})"
+        found = str(self._between(sympy.Symbol("n"), sympy.Symbol("s")))
+        return found.replace("s", s).replace("n", f"floor({self._steps}*{s})")
 
-    def _between(self, n: Any, k: int, s: Any) -> Any:
+    def _between(self, n: Expr, s: Expr) -> Expr:
         """u where floor(k s) = n."""
+        k = self._steps
         return -self.size * (n * s**2 / 2 - n * (n + 1) * s / (2 * k) + n * (n + 1) * (2 * n + 1) / (12 * k**2))
-
-    def _floor(self) -> tuple[Piecewise, str]:
-        """floor(k s) is n between n/k and (n + 1)/k."""
-        a, _, s, _, _ = self._lines()
-        k, many = 1 + self.spelling % 2, floor(REACH + abs(a.place)) + 1
-        parts: list[Any] = []
-        for n in range(-many * k, many * k):
-            end = line_at(self.angles[0], self.places[0] + (n + 1) / k)
-            parts.append(([(end, True)], self._between(sympy.Integer(n), k, s)))
-        return Piecewise([*parts[:-1], ((), parts[-1][1])]), f"{self.size!r}*floor({k}*({s}))"
-
-    def _disc(self) -> tuple[Piecewise, str]:
-        circle, squared = Circle(self.angles, self.places[0]), square(self.angles)
-        R = circle.radius
-        outside = -self.size * R**2 * (sympy.log(squared / R**2) + 1) / 4
-        u = Piecewise([([(circle, True)], -self.size * squared / 4), ((), outside)])
-        return u, self._in_disc(circle, repr(self.size))
-
-    def _lens(self) -> tuple[Piecewise, str]:
-        circle, squared = Circle(self.angles, self.places[0]), square(self.angles)
-        R = circle.radius
-        u = Piecewise([([(circle, True)], self.size * (R**2 - squared) ** 2 / 8), ((), sympy.Integer(0))])
-        return u, self._in_disc(circle, f"({self.size * (R**2 - 2 * squared)})")
-
-    def _in_disc(self, circle: Circle, load: str) -> str:
-        (a, b), R = circle.middle, circle.radius
-        far, squared = f"hypot(x - ({a!r}), y - ({b!r}))", f"(x - ({a!r}))^2 + (y - ({b!r}))^2"
-        return self._spelled(f"where({far} < {R!r}, {load}, 0)", f"where({squared} >= {R**2!r}, 0, {load})",
-                             f"{load}*({far} < {R!r})", f"where(sign({R!r} - {far}) > 0, {load}, 0)")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -167,13 +137,13 @@ class Conditions(Manufactured):
     name = "conditions"
 
     def u(self) -> list[Piecewise]:
-        return [everywhere(expression(self.smooth)), *(term.both()[0] for term in self.terms)]
+        return [everywhere(expression(self.smooth)), *(term.u() for term in self.terms)]
 
     def value(self) -> str:
         return " + ".join([f"({self.smooth})", *(term.value() for term in self.terms)])
 
     def data(self) -> dict[str, Any]:
-        load = [str(load_of(expression(self.smooth), sympy.Integer(1))), *(term.both()[1] for term in self.terms)]
+        load = [str(load_of(expression(self.smooth), sympy.Integer(1))), *(term.load() for term in self.terms)]
         return {"tension": self.stiff, "load": f"{self.stiff!r}*({' + '.join(load)})"}
 
 

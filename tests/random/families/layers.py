@@ -16,18 +16,8 @@ from sympy import Expr
 from tests.random.families.manufactured import Curve, Line, Manufactured, Piecewise, everywhere, expression, x, y
 from tests.random.families.strategies import bounds, grids, place, power
 
-SPELLINGS = ("where({s} < {c}, {a}, {b})", "({a})*({s} < {c}) + ({b})*({s} >= {c})",
-             "where(sign({s} - {c}) < 0, {a}, {b})", "where(not {s} < {c}, {b}, {a})")  # fmt: skip
 PIECES = 4  # of a wave
 ALONG_X = (1.0, 0.0)
-
-
-def stepped(s: str, cuts: tuple[float, ...], values: list[str], spelling: str) -> str:
-    """A formula that has each value up to the next cut."""
-    text = values[-1]
-    for c, value in reversed(list(zip(cuts, values[:-1], strict=True))):
-        text = spelling.format(s=s, c=repr(c), a=value, b=text)
-    return text
 
 
 def layered(direction: tuple[float, float], cuts: Sequence[float], values: Sequence[float | Expr]) -> Piecewise:
@@ -70,9 +60,7 @@ class Layers(Manufactured):
         return [self._parts(values)]
 
     def data(self) -> dict[str, Any]:
-        ca, sa = cos(self.angle), sin(self.angle)
-        s, values = f"({ca!r}*x + {sa!r}*y)" if sa else "x", [repr(mu) for mu in self.tensions]
-        return {"tension": stepped(s, self.cuts, values, SPELLINGS[self.spelling]), "load": self.load}
+        return {"tension": self.tension().text(self.spelling, products=True), "load": self.load}
 
     def boundary(self) -> list[dict[str, Any]]:
         """u is given on the left and the right, or on the whole boundary."""
@@ -144,7 +132,7 @@ class LayersInContact(Manufactured):
         return slope, np.zeros_like(px)
 
     def data(self) -> dict[str, Any]:
-        tension = stepped("x", self.cuts, [repr(mu) for mu in self.tensions], SPELLINGS[self.spelling])
+        tension = self.tension().text(self.spelling, products=True)
         return {"tension": tension, "load": -self.load, "lower": -self.truth()[0]}
 
     def boundary(self) -> list[dict[str, Any]]:

@@ -70,14 +70,19 @@ class Piecewise:
             for (sides, value), *rest in zip(self.parts, *many, strict=True)
         ])  # fmt: skip
 
-    def text(self, spelling: int = 0) -> str:
-        """As a formula of a scene: `where` in `where`, or the other way round."""
+    def text(self, spelling: int = 0, *, products: bool = False) -> str:
+        """As a formula of a scene: `where` in `where`, or the other way round, or products with conditions."""
         *first, (_, last) = self.parts
         found = f"({last})"
         for sides, value in reversed(first):
             condition = " and ".join(compared(side, spelling) for side in sides)
-            turned = f"where(not ({condition}), {found}, {value})"
-            found = turned if spelling % 3 == 2 else f"where({condition}, {value}, {found})"
+            if products and spelling % 3 == 1:
+                found = f"(({value})*({condition}) + ({found})*(not ({condition})))"
+            elif spelling % 3 == 2:
+                other = " or ".join(compared((curve, not below), spelling) for curve, below in sides)
+                found = f"where({other}, {found}, {value})"
+            else:
+                found = f"where({condition}, {value}, {found})"
         return found
 
     def at(self, points_x: np.ndarray, points_y: np.ndarray) -> np.ndarray:
