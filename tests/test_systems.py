@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -151,6 +152,26 @@ def test_contact_alone(seed, n, method):
     assert np.abs(A @ u - f - weights * p).sum() <= 1e-6 * f.sum()
     assert np.all(p <= 0) and -weights @ p == pytest.approx(f.sum(), rel=1e-6)
     assert np.all(u <= upper + (0 if found.eps is None else found.eps * np.abs(p).max()) + 1e-9)
+
+
+@pytest.mark.parametrize("fixed", [False, True])
+@pytest.mark.parametrize("method", ["penalty", "vi"])
+def test_a_part_that_nothing_holds(method, fixed):
+    """Of two chains of springs without a common row a bound, or a given value, of one holds the other no more."""
+    n = 20
+    chain = np.diag(np.r_[1.0, np.full(n - 2, 2.0), 1.0]) - np.eye(n, k=1) - np.eye(n, k=-1)
+    A, none = scipy.linalg.block_diag(chain, chain), np.full(n, np.inf)
+    flags, lower = np.arange(2 * n) < int(fixed), np.r_[np.full(n, -1.0), -none]
+
+    def solution(of_second, upper):
+        f = np.r_[np.full(n, -0.05), of_second]
+        return gathered(solved(A, f, lower, np.r_[none, upper], flags, np.ones(2 * n), method=method).u)
+
+    for load in (np.r_[0.1, np.zeros(n - 2), -0.1], np.full(n, 0.03)):  # balanced, and where there is no bound
+        with pytest.raises(InputError, match=r"A maps constants to 0.*presses against no bound"):
+            solution(load, none)
+    u = solution(np.full(n, 0.03), np.full(n, 2.0))
+    assert np.abs(u[n:] - 2).max() < 1e-3 and (abs(u[0]) if fixed else np.abs(u[:n] + 1).max()) < 1e-3
 
 
 def laplacian(n):

@@ -50,6 +50,12 @@ class SeparateParts:
         highest, lowest = (np.maximum.reduceat(sign * around, starts[:-1]) if ghosts.own else u for sign in (1, -1))
         self.ranges = self.largest(highest) + self.largest(lowest)
 
+    def of_dofs(self) -> np.ndarray:
+        """The number of the part of each owned dof; of fixed ones a number beyond (local)."""
+        found = np.full(len(self._free), self._count)
+        found[self._free] = self._part
+        return found
+
     def largest(self, values: np.ndarray) -> np.ndarray:
         """Of values at owned dofs the largest at free dofs of each part."""
         found = np.full(self._count, -np.inf)

@@ -17,11 +17,13 @@ from fenicsx_obstacle.algebra.m_matrix import is_symmetric
 from fenicsx_obstacle.algebra.methods import method_of
 from fenicsx_obstacle.algebra.nested import Levels, solve_nested
 from fenicsx_obstacle.algebra.options import SolverOptions
+from fenicsx_obstacle.algebra.products import product
+from fenicsx_obstacle.algebra.separate_parts import SeparateParts
 from fenicsx_obstacle.algebra.state import State
 from fenicsx_obstacle.algebra.stopping import Step
 from fenicsx_obstacle.algebra.system import System, with_infinities
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.parallel import agree, largest, smallest, total
+from fenicsx_obstacle.parallel import agree, total
 from fenicsx_obstacle.text import counted
 
 ROUND_OFF = 1e-12  # of the entries of A: row sums that are none
@@ -57,40 +59,45 @@ class MatrixSystem(System):
         """
         self.comm, self.lower, self.upper, self.fixed, self.given = A.comm.tompi4py(), lower, upper, fixed, given
         self.symmetric = self.has_energy = is_symmetric(A)
-        minus_load, w_vector, r_vector = A.createVecLeft(), A.createVecRight(), A.createVecRight()
-        w_vector.set(1.0)
-        A.mult(w_vector, minus_load)
-        row_sums = total(self.comm, np.abs(minus_load.array_r))
+        w_vector, r_vector, minus_load = A.createVecRight(), A.createVecRight(), A.createVecLeft()
         # reactions are sums of A_ij (u_j - u_i): what A and f have in rows of boundary conditions is no scale of force
-        minus_load.array[:] = np.where(fixed, -minus_load.array_r * given, -f)
-        w_vector.set(0.0)
+        minus_load.array[:] = np.where(fixed, -product(A, 1.0) * given, -f)
         state = State(w_vector, r_vector, lower=lower is not None, upper=upper is not None)
         self._set_law(Affine(self.comm, state, A, minus_load, weights, np.flatnonzero(fixed)))
         self.load = total(self.comm, np.abs(f[~fixed]))
-        if total(self.comm, np.count_nonzero(fixed)) == 0:
-            self.floating = self._loose_constant(row_sums)
+        self.jacobian(w_vector, penalised=False)
+        self._begin_in_contact()
         self.set_reference(self.cold_start())
 
-    def _loose_constant(self, row_sums: float) -> bool:
-        """Whether A maps constants to 0, so that contact alone holds u; then it begins in contact (collective).
+    def _begin_in_contact(self) -> None:
+        """Find the parts of the free rows on which A maps constants to 0: contact alone holds u there, and begins
+        everywhere (collective).
 
         Raises:
-            InputError: If the load does not press u against an obstacle.
+            InputError: If the load does not press such a part against an obstacle.
         """
-        if row_sums > ROUND_OFF * total(self.comm, np.abs(self.matrices.diagonal)):
-            return False
-        net = total(self.comm, -self.matrices.minus_load.array_r)
-        side = self.upper if net > 0 else self.lower
-        if net == 0 or side is None or not np.isfinite(largest(self.comm, -np.abs(side))):
+        parts, A, force = SeparateParts(self, np.zeros(self.owned)), self.matrices, -self.matrices.minus_load.array_r
+        sums, held = (parts.sums(np.abs(product(A.stiffness, ones))) for ones in (1.0, self.fixed.astype(float)))
+        loose = (held == 0) & (sums <= ROUND_OFF * parts.sums(np.abs(A.diagonal)))
+        net = parts.sums(force)
+        sign = np.where(net > 0, 1.0, -1.0)
+        self.parts = len(loose) + 1, parts.of_dofs()
+        way = np.append(sign, 0.0)[self.parts[1]]
+        upper, lower = (np.full(self.owned, np.inf) if side is None else sign * side
+                        for side, sign in ((self.upper, 1.0), (self.lower, -1.0)))  # fmt: skip
+        bound = np.where(way > 0, upper, lower)  # in the direction of the load
+        highest = parts.largest(np.where(np.isfinite(bound), bound, -np.inf))
+        if (wrong := loose & ((net == 0) | np.isneginf(highest))).any():
+            where = "" if loose.all() else " on a part without a given value"
             raise InputError(
-                f"{NAME} A maps constants to 0, and the load, {net:.3g} in all, presses against no bound: give u "
-                "somewhere by `fixed` and `given`"
+                f"{NAME} A maps constants to 0{where}, and the load there, {net[wrong][0]:.3g} in all, presses against "
+                "no bound: give u somewhere by `fixed` and `given`"
             )
-        sign = 1.0 if net > 0 else -1.0
-        extreme = (largest if sign > 0 else smallest)(self.comm, side[np.isfinite(side)])
-        self.start = np.nextafter(np.where(np.isfinite(side), side, extreme), sign * np.inf)
-        self.borne, self.parts = np.array([True]), (1, np.zeros(self.owned, dtype=np.int64))
-        return True
+        if loose.any():
+            extended = np.where(np.isfinite(bound), bound, np.append(highest, 0.0)[self.parts[1]])
+            start = way * np.nextafter(extended, np.inf)
+            self.start = np.where(np.append(loose, False)[self.parts[1]], start, np.nan)
+            self.floating, self.borne = True, np.append(loose, False)
 
 
 @dataclass(frozen=True, eq=False)
