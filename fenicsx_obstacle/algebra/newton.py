@@ -16,7 +16,7 @@ import numpy as np
 from fenicsx_obstacle.algebra import releases
 from fenicsx_obstacle.algebra.fields import stopping_of
 from fenicsx_obstacle.algebra.linear_solvers import user_has_set
-from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
+from fenicsx_obstacle.algebra.snes import Outcome, is_limited, refuse, require, run
 from fenicsx_obstacle.algebra.stopping import CYCLING, TOLERANCE, TOO_MANY, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
@@ -32,6 +32,8 @@ NEWTON = {
     "snes_stol": 0.0,
     "snes_divergence_tolerance": 1e100,
 }
+ONE_STEP = "it takes one linear step, without a look at what is left; leave the option out"
+REFUSED = {"snes_type": (lambda kind: kind in ("ksponly", "ksptransposeonly"), ONE_STEP)}
 CONTINUATION_FACTOR = 1e-2  # from one eps to the next
 CONTINUATION_TOLERANCE = 1e-6  # unbalanced force there
 PATIENCE = 20  # steps to try without
@@ -72,8 +74,10 @@ def solve_penalty(
         The converged outcome, iterations of all attempts together.
 
     Raises:
+        InputError: If the user's PETSc options have a value in `REFUSED`.
         NotConverged: With PETSc's reason.
     """
+    refuse(problem, "penalty", REFUSED)
     problem.eps = eps
     if successive:
         problem.set_reference(problem.cold_start())

@@ -32,7 +32,7 @@ from fenicsx_obstacle.algebra.reduced_systems import OnInactive, Reduced
 from fenicsx_obstacle.algebra.stopping import MEANINGLESS, ON_THE_WAY, Step, Stopping, in_words
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.truncated_multigrid import HeldRows, KeptLevels, Multigrid
-from fenicsx_obstacle.errors import NotConverged
+from fenicsx_obstacle.errors import InputError, NotConverged
 from fenicsx_obstacle.parallel import total
 
 _log = logging.getLogger(__name__)
@@ -198,6 +198,28 @@ def _detached(snes: PETSc.SNES) -> PETSc.SNES:
     if snes.ksp.pc.getType() == PETSc.PC.Type.PYTHON:
         snes.ksp.pc.setType(PETSc.PC.Type.NONE)
     return snes
+
+
+def is_on(value: str) -> bool:
+    """Whether an option without a value, or with this one, is on."""
+    return value.lower() not in ("0", "false", "no", "off")
+
+
+def refuse(problem: System, solver: str, options: Mapping[str, tuple[Callable[[str], bool], str]]) -> None:
+    """Reject values of the user's PETSc options that a solver does not take.
+
+    Args:
+        problem: Says how its options begin.
+        solver: The name of the solver.
+        options: By their names without prefix, which values are not taken, and why.
+
+    Raises:
+        InputError: With the option.
+    """
+    for key, (is_wrong, why) in options.items():
+        option = problem.options_of(solver) + key
+        if user_has_set(option) and is_wrong(value := PETSc.Options().getString(option, "")):
+            raise InputError(f"PETSc option {option} = {value}: {why}")
 
 
 def is_limited(problem: System, solver: str) -> bool:

@@ -10,11 +10,10 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle.algebra.fields import stopping_of
 from fenicsx_obstacle.algebra.newton import NEWTON, PATIENCE, joined, settled, soft_eps, solve_penalty
-from fenicsx_obstacle.algebra.snes import Outcome, is_limited, require, run
+from fenicsx_obstacle.algebra.snes import Outcome, is_limited, is_on, refuse, require, run
 from fenicsx_obstacle.algebra.stopping import TOLERANCE, StepMonitor
 from fenicsx_obstacle.algebra.system import System
 from fenicsx_obstacle.algebra.truncated_multigrid import Multigrid
-from fenicsx_obstacle.errors import InputError
 
 # without descent PETSc's line search fails, or takes round-off for a minimum of its merit function
 LINE_SEARCH_FAILED = (PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH, PETSc.SNES.ConvergedReason.DIVERGED_LOCAL_MIN)
@@ -22,6 +21,15 @@ INFINITE = float(PETSc.INFINITY)  # PETSc's bound for 'no bound'
 NEAR = 1e-6  # the same contact, but for nodes that press very little
 # the state lies between the bounds, so a node in contact is at its bound to the last digit
 VI = {**NEWTON, "snes_type": "vinewtonrsls", "snes_vi_zero_tolerance": 0.0}
+MATRIX = "SNES VI takes the rows without contact of the assembled matrix; leave the option out"
+REFUSED = {  # what `Stopping` is not made for, what ignores bounds, and what fails
+    "snes_type": (lambda kind: kind != VI["snes_type"], f"the method vi is made for {VI['snes_type']} alone; leave the "
+                  "option out, or take the method penalty"),
+    "pc_type": (lambda kind: kind == "gamg", "SNES VI changes the size of its linear systems, which gamg does not "
+                "take; take hypre or lu, leave the option out, or take the method penalty"),
+    "snes_mf": (is_on, MATRIX),
+    "snes_mf_operator": (is_on, MATRIX),
+}  # fmt: skip
 
 
 def solve_vi(
@@ -47,10 +55,10 @@ def solve_vi(
         The converged outcome.
 
     Raises:
-        InputError: If the user's PETSc options name another type of SNES.
+        InputError: If the user's PETSc options have a value in `REFUSED`.
         NotConverged: With PETSc's reason.
     """
-    _refuse_other_solvers(problem)
+    refuse(problem, "vi", REFUSED)
     how: dict[str, Any] = {"least": least, "tolerance": tolerance, "monitor": monitor}
     if patience is not None:
         how["patience"] = patience
@@ -63,27 +71,6 @@ def solve_vi(
         problem.set_unknown(start)
         outcome = joined(outcome, _from_penalty(problem, how))
     return require(outcome, problem, None, tolerance)
-
-
-def _refuse_other_solvers(problem: System) -> None:
-    """Reject a type of SNES for which `Stopping` is not made, or which ignores bounds, and a preconditioner that fails.
-
-    Raises:
-        InputError: With the option.
-    """
-    option = problem.options_of("vi") + "snes_type"
-    kind = PETSc.Options().getString(option, VI["snes_type"])
-    if kind != VI["snes_type"]:
-        raise InputError(
-            f"PETSc option {option} = {kind}: the method vi is made for {VI['snes_type']} alone; leave the option out, "
-            "or take the method penalty"
-        )
-    option = problem.options_of("vi") + "pc_type"
-    if PETSc.Options().getString(option, "") == "gamg":
-        raise InputError(
-            f"PETSc option {option} = gamg: SNES VI changes the size of its linear systems, which gamg does not take; "
-            "take hypre or lu, leave the option out, or take the method penalty"
-        )
 
 
 def _settled(problem: System, how: dict[str, Any], multigrid: Multigrid | None) -> Outcome:

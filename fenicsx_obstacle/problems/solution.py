@@ -291,8 +291,11 @@ class Solution:
         Raises:
             InputError: As `at`.
         """
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        return Profile(points, s, **self.fields.along(self._in_space(points)[0], self._known_tension))
+        flat, shape = self._in_space(points)
+        if len(shape) != 1:
+            raise InputError(f"on() takes points, shape (n, {self.level.mesh.geometry.dim})")
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])[: len(flat)]
+        return Profile(np.asarray(points), s, **self.fields.along(flat, self._known_tension))
 
     def values(self, points: np.ndarray, of: str = "u") -> np.ndarray:
         """Values at points, shape (n, 3), the same on every rank; not-a-number outside the mesh (collective).
