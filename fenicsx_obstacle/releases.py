@@ -18,6 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import basix
 import dolfinx
 import dolfinx.fem.petsc  # from 0.7 on `dolfinx.fem` does not import it
 import numpy as np
@@ -28,6 +29,8 @@ from dolfinx import mesh as dmesh
 from mpi4py import MPI
 from petsc4py import PETSc
 from ufl.corealg.traversal import unique_pre_traversal
+
+from fenicsx_obstacle.errors import InputError
 
 VERSION = tuple(map(int, re.findall(r"\d+", dolfinx.__version__)[:2]))
 TRIED = {(0, 5), (0, 9), (0, 11)}
@@ -289,24 +292,51 @@ def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str
     """
     cells, points = np.ascontiguousarray(cells, np.int64), np.ascontiguousarray(points, np.float64)
     gdim = points.shape[1]
+    partitioner = _partitioner(comm, len(cells), stay)
+    if (every := _all_if_branching(comm, cells, cell, gdim)) is not None:
+        # at such facets DOLFINx waits forever for other ranks, or takes a vertex for two: one rank has all
+        if stay and np.count_nonzero(comm.allgather(len(cells))) > 1:
+            raise InputError(
+                "more than two cells meet at a facet of this mesh, and several ranks have some: make it with all cells "
+                "on one rank, or run on one rank"
+            )
+        home = np.full(len(every), int(np.argmax(comm.allgather(len(cells)))) if stay else 0, dtype=np.int32)
+        cells, partitioner = every, lambda *_: _one_rank_each(home)
     if OLD:
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell(cell, geometric_dimension=gdim), 1))
-        mesh = dmesh.create_mesh(comm, cells, points, domain, FACET_GHOSTS, _partitioner(comm, len(cells), stay))
+        mesh = dmesh.create_mesh(comm, cells, points, domain, FACET_GHOSTS, partitioner)
     else:
         import basix.ufl
 
         domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(gdim,)))
         arguments = (cells, domain, points) if NEW else (cells, points, domain)
-        mesh = dmesh.create_mesh(comm, *arguments, partitioner=_partitioner(comm, len(cells), stay))
+        mesh = dmesh.create_mesh(comm, *arguments, partitioner=partitioner)
     return settle(mesh)
+
+
+def _all_if_branching(comm: MPI.Comm, cells: np.ndarray, cell: str, gdim: int) -> np.ndarray | None:
+    """The cells of all ranks on rank 0, and none elsewhere, if more than two of a curve or surface in space meet at a
+    facet; else None (collective)."""
+    shape = basix.topology(getattr(basix.CellType, cell))
+    if comm.size == 1 or gdim == len(shape) - 1:
+        return None
+    every, found = cells[:0], False
+    if (parts := comm.gather(cells)) is not None:
+        every = np.vstack(parts)
+        facets = every[:, shape[-2]].reshape(-1, len(shape[-2][0]))
+        found = bool(np.unique(np.sort(facets, axis=1), axis=0, return_counts=True)[1].max(initial=0) > 2)
+    return every if comm.bcast(found) else None
+
+
+def _one_rank_each(owners: np.ndarray) -> Any:
+    """What a partition function returns if each cell goes to one rank."""
+    return _cpp.graph.AdjacencyList_int32(owners, np.arange(len(owners) + 1, dtype=np.int32))
 
 
 def _partitioner(comm: MPI.Comm, cells: int, stay: bool) -> Any:
     """The partitioner of cells. With one rank no graph of neighbours is computed."""
     if comm.size == 1:
-        return lambda *_: _cpp.graph.AdjacencyList_int32(
-            np.zeros(cells, np.int32), np.arange(cells + 1, dtype=np.int32)
-        )
+        return lambda *_: _one_rank_each(np.zeros(cells, np.int32))
     if OLD:
         return dmesh.create_cell_partitioner(*([_stay] if stay else []))
     cells_at_a_facet = [2] if VERSION >= (0, 11) else []

@@ -92,3 +92,27 @@ def test_a_part_where_wires_branch(wires):
     if wires == 2:  # u'' = 1 on both sides, and 2 (-u(0) - 1/2) = 1
         assert solve(scene(flux=-1)).record["report"]["height"] == pytest.approx(-1.0)
     assert total(COMM, len(tags.find(1))) >= 1
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_sheets_that_share_an_edge(element, folder):
+    """Three squares of a book: a load of 24 in all is carried by the back, the rim and the obstacle, on any ranks."""
+    first = np.array([(i * 5 + j) for i in range(4) for j in range(4)])
+    squares = np.column_stack([first, first + 5, first + 6, first + 1])
+    i, j = (axis.ravel() / 4 for axis in np.meshgrid(np.arange(5), np.arange(5), indexing="ij"))
+    pages = [np.outer(i, way) + np.outer(j, [0, 1, 0]) for way in ([1, 0, 0], [-1, 0, 0.5], [-0.5, 0, -1])]
+    points, which = np.unique(np.vstack(pages).round(9), axis=0, return_inverse=True)
+    cells = np.vstack(
+        [which.ravel()[squares + 25 * k][:, corners] for k in range(3) for corners in ([0, 1, 2], [0, 2, 3])]
+    )
+    mine = slice(None) if COMM.rank == COMM.size - 1 else slice(0)
+    mesh = releases.create_mesh(COMM, cells[mine], points[mine], "triangle")
+    assert mesh.topology.index_map(0).size_global == len(points) == 3 * 20 + 5
+    scene = Scene(mesh=mesh, tension=1, load=-8, lower=-0.3, boundary=[{"value": 0}])
+    answer = solve(scene, element=element)
+    answer.save(folder / "book")
+    read = Answer.read(folder / "book")
+    assert read.force.lower == pytest.approx(answer.force.lower, rel=1e-12)
+    assert compare(answer, read)["u"]["max"] < 1e-12
+    assert answer.plain.level.dofs == (len(points) if element == "P1" else 225)
+    assert 7 < answer.force.lower < 13 and answer.verify()
