@@ -128,7 +128,7 @@ def dense(case):
 def by_place(u, k, values=None):
     """Values of a component at its nodes in the order of their coordinates, gathered on all ranks."""
     V, dofs = u.function_space.sub(k).collapse()
-    return ordered(V, (u.x.array if values is None else values)[np.asarray(dofs)])
+    return ordered(V, (u.x.array if values is None else values)[np.ravel(dofs)])  # newer releases: an array of one row
 
 
 def ordered(V, values):

@@ -1,6 +1,7 @@
 """The public penalty(): one added line in somebody else's residual."""
 
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
@@ -129,6 +130,38 @@ def test_degrees_without_a_rule(degree):
     message = f"v has degree {degree} on a triangle: .* take degree 1, or degree 2 with ObstacleProblem"
     with pytest.raises(InputError, match=message):
         penalty(fem.Function(V), ufl.TestFunction(V), upper=1.0, eps=1.0)
+
+
+def cells_of(kind, family, degree, components=None):
+    return releases.functionspace(dmesh.create_rectangle(COMM, [np.zeros(2), np.ones(2)], [4, 4], kind), family, degree,
+                                  components)  # fmt: skip
+
+
+def test_obstacles_and_elements_without_values_at_the_nodes(space):
+    """Another mesh, several values at a node, a vector, dofs that are no values: none is taken for something else."""
+    u, v, triangle = fem.Function(space), ufl.TestFunction(space), dmesh.CellType.triangle
+    elsewhere, jumping = (fem.Function(cells_of(triangle, "Lagrange", 1)),
+                          fem.Function(releases.functionspace(space.mesh, "DG", 0)))  # fmt: skip
+    cases = ((elsewhere, "another mesh"), (2 * elsewhere, "another mesh"), (jumping, "not continuous"),
+             (ufl.SpatialCoordinate(space.mesh), "has the shape"), (np.array([0.3]), "expected a number"))  # fmt: skip
+    for g, message in cases:
+        for term in (partial(penalty, u, v), partial(contact_pressure, u)):
+            with pytest.raises(InputError, match=message):
+                term(lower=g, eps=1e-3)
+    both = fem.Function(cells_of(triangle, "Lagrange", 1, 2))
+    for part, message in (
+        (both, "has the shape"),
+        (both[0], "expected a Function"),
+        (both.sub(0), "expected a Function"),
+    ):
+        with pytest.raises(InputError, match=message):
+            contact_pressure(part, lower=0.0, eps=1.0)
+    with pytest.raises(InputError, match=r"eps = .*: expected a number"):
+        contact_pressure(u, lower=0.0, eps=2 * fem.Constant(space.mesh, 1.0))
+    others = ((triangle, "CR", 1), (dmesh.CellType.quadrilateral, "DPC", 1), (dmesh.CellType.quadrilateral, "S", 2))
+    for V in (cells_of(*other) for other in others):
+        with pytest.raises(InputError, match="whose dofs are not all values at the nodes"):
+            penalty(fem.Function(V), ufl.TestFunction(V), lower=0.0, eps=1.0)
 
 
 def obstacle(own):

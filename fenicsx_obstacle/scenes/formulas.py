@@ -130,6 +130,8 @@ def parse(text: str | float, place: str, *, functionals: bool = False) -> Formul
     bare = Formula(text, place, ast.Constant(0.0))
     if not text.strip():
         raise InputError(f"{place}: empty formula")
+    if "#" in text:  # Python would leave out what follows
+        raise InputError(_caret(bare, text.index("#"), "cannot read this formula"))
     try:
         tree = ast.parse(text.replace("^", "**").strip(), mode="eval").body
     except SyntaxError as error:
