@@ -135,15 +135,15 @@ class Small(MatrixSystem):
     """
 
     def __init__(self, A: np.ndarray, b: np.ndarray):
-        n = len(b)
+        n, self.met = len(b), list[tuple[bool, ...]]()
         matrix = PETSc.Mat().createDense((n, n), array=A, comm=MPI.COMM_SELF).convert("aij")
         super().__init__(matrix, b, lower=None, upper=np.zeros(n), weights=np.ones(n), fixed=np.zeros(n, dtype=bool),
                          given=np.zeros(n))  # fmt: skip
-        self.met: list[tuple[bool, ...]] = []
 
     def jacobian(self, x: PETSc.Vec, *, penalised: bool = True) -> PETSc.Mat:
         A = super().jacobian(x, penalised=penalised)
-        self.met.append(tuple((self.w > 0).tolist()))
+        if penalised:
+            self.met.append(tuple((self.w > 0).tolist()))
         return A
 
 
