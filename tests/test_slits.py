@@ -114,5 +114,8 @@ def test_sheets_that_share_an_edge(element, folder):
     read = Answer.read(folder / "book")
     assert read.force.lower == pytest.approx(answer.force.lower, rel=1e-12)
     assert compare(answer, read)["u"]["max"] < 1e-12
+    for wrong in ([], [0.1, 0.2], None, [[[0.1, 0.2, 0.0]]]):  # no consecutive points in space
+        with pytest.raises(InputError, match=r"takes points, shape \(n, 3\)"):
+            answer.on(wrong)
     assert answer.plain.level.dofs == (len(points) if element == "P1" else 225)
     assert 7 < answer.force.lower < 13 and answer.verify()

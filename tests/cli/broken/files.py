@@ -88,6 +88,7 @@ def contradictions() -> Iterator[Broken]:
         ("a place in a formula", {"[effects] load": '"2*y + q"'},
          ["load: unknown name 'q'", "\n    2*y + q\n          ^"]),
         ("a place in no formula", {"[effects] load": '"2*^y"'}, ["cannot read this formula\n    2*^y\n       ^"]),
+        ("a comment in a formula", {"[effects] load": '"2 # + y"'}, ["cannot read this formula\n    2 # + y\n      ^"]),
         ("an attribute", {"[effects] load": '"x.real"'}, ["not allowed in a formula"]),
         ("a subscript", {"[effects] load": '"x[0]"'}, ["not allowed in a formula; the coordinates are x, y and z"]),
         ("a prefix", {"[effects] load": '"np.sin(x)"'},
