@@ -295,12 +295,13 @@ def create_mesh(comm: MPI.Comm, cells: np.ndarray, points: np.ndarray, cell: str
     partitioner = _partitioner(comm, len(cells), stay)
     if (every := _all_if_branching(comm, cells, cell, gdim)) is not None:
         # at such facets DOLFINx waits forever for other ranks, or takes a vertex for two: one rank has all
-        if stay and np.count_nonzero(comm.allgather(len(cells))) > 1:
+        counts = comm.allgather(len(cells))
+        if stay and np.count_nonzero(counts) > 1:
             raise InputError(
                 "more than two cells meet at a facet of this mesh, and several ranks have some: make it with all cells "
                 "on one rank, or run on one rank"
             )
-        home = np.full(len(every), int(np.argmax(comm.allgather(len(cells)))) if stay else 0, dtype=np.int32)
+        home = np.full(len(every), np.argmax(counts) if stay else 0, dtype=np.int32)
         cells, partitioner = every, lambda *_: _one_rank_each(home)
     if OLD:
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell(cell, geometric_dimension=gdim), 1))

@@ -162,6 +162,9 @@ def test_obstacles_and_elements_without_values_at_the_nodes(space):
     for V in (cells_of(*other) for other in others):
         with pytest.raises(InputError, match="whose dofs are not all values at the nodes"):
             penalty(fem.Function(V), ufl.TestFunction(V), lower=0.0, eps=1.0)
+    V = cells_of(triangle, "Lagrange", 2)  # Simpson's rule on its edges has positive weights
+    form = penalty(fem.Function(V), ufl.TestFunction(V), upper=-1.0, eps=1.0, measure=ufl.ds)
+    assert total(COMM, assembled(form, V)) == pytest.approx(4)
 
 
 def obstacle(own):

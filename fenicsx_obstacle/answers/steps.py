@@ -241,7 +241,7 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], TimeHistory, dict[str, np
         if not mesh:  # of version 0.2
             mesh, found["around"] = {"points": found["points"]}, np.empty((count, 0))
         for name in ("points", "around", "velocity", *past):
-            if name in found or name in past:
+            if name != "velocity" or name in found:
                 shape, kind = found[name].shape, found[name].dtype.kind
                 if kind != "f" or shape[:1] != (count,) or (name == "points" and shape != (count, 3)):
                     raise ValueError(f"'{name}' has shape {shape}")
@@ -250,8 +250,9 @@ def _load(place: Path) -> tuple[dict[str, np.ndarray], TimeHistory, dict[str, np
         whole = isinstance(rows, list) and all(isinstance(row, dict) and {"step", "t"} <= set(row) for row in rows)
         if not rows or not whole:
             raise ValueError("its rows are none")
-        if np.any(mesh.get("cells", 0) >= len(mesh["points"])):
+        cells, nodes = mesh.get("cells", np.empty((0, 1), int)), len(mesh["points"])
+        if cells.dtype.kind not in "iu" or cells.ndim != 2 or np.any((cells < 0) | (cells >= nodes)):
             raise ValueError("a cell has no point")
-        return found, TimeHistory(tuple(rows), tuple(from_arrays(frames, len(mesh["points"])))), mesh
+        return found, TimeHistory(tuple(rows), tuple(from_arrays(frames, nodes))), mesh
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise InputError(f"{place}: is damaged: {error}") from None

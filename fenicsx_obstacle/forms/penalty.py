@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from petsc4py import PETSc
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.forms.rules import Rule, facet_of, has_nodal_rule, nodal_rule
 from fenicsx_obstacle.parallel import total
 from fenicsx_obstacle.signatures import names_checked
@@ -176,7 +178,7 @@ def _check_obstacles(name: str, lower: Any, upper: Any, domain: Any, *, at_nodes
 
 
 def _check_nodes(space: Any, degree: int) -> None:
-    """Reject elements whose dofs are not values at the points of the rule (local).
+    """Reject elements whose dofs are not values at the nodes of Lagrange elements of this degree (local).
 
     Raises:
         InputError: With the remedy.
@@ -184,12 +186,12 @@ def _check_nodes(space: Any, degree: int) -> None:
     if not isinstance(space, fem.FunctionSpace):
         return
     parts = [space] if space.num_sub_spaces == 0 or space.dofmap.bs > 1 else map(space.sub, range(space.num_sub_spaces))
-    cell, dim = releases.cell_name(space.mesh), space.mesh.topology.dim
+    dim, simplex = space.mesh.topology.dim, releases.cell_name(space.mesh) in SIMPLICES
+    nodes = comb(dim + degree, degree) if simplex else (degree + 1) ** dim
     for part in parts:
         layout = part.dofmap.dof_layout
-        points = len(nodal_rule(cell, degree).points) if has_nodal_rule(cell, degree) else 0
         on_facets = not (layout.entity_dofs(0, 0) or layout.entity_dofs(dim, 0))  # Crouzeix and Raviart
-        if layout.num_dofs != points or on_facets:
+        if layout.num_dofs != nodes or on_facets:
             raise InputError(
                 f"penalty: v is of {space.ufl_element()}, whose dofs are not all values at the nodes of degree {degree}"
                 ": take Lagrange elements, and for a part of a mixed space rule=nodal_rule(cell, degree of this part)"
