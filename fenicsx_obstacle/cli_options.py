@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,7 @@ def values_of(text: str, key: str) -> list[Any]:
     """
     match = re.fullmatch(r"(.+?)\.\.(.+?)(?::(\d+))?", text)
     if match is None:
-        return [_value(part) for part in text.split(",")]
+        return [_value(part) for part in _elements(text)]
     first, last = _value(match[1]), _value(match[2])
     if not all(isinstance(end, int | float) and 0 < end <= sys.float_info.max for end in (first, last)):
         raise InputError(f"--vary {key}={text}: the ends of a range are positive numbers; give a list A,B,C otherwise")
@@ -118,6 +119,13 @@ def values_of(text: str, key: str) -> list[Any]:
             steps.append(steps[-1] * ratio)
     # eps by tens: 1e-3 and not 1.0000000000000002e-3
     return [round(step) if whole else float(f"{step:.12g}") for step in steps]
+
+
+def _elements(text: str) -> list[str]:
+    """Split at the commas outside brackets."""
+    depths = accumulate({"(": 1, "[": 1, ")": -1, "]": -1}.get(letter, 0) for letter in text)
+    commas = [i for i, depth in enumerate(depths) if depth == 0 and text[i] == ","]
+    return [text[start + 1 : end] for start, end in pairwise([-1, *commas, len(text)])]
 
 
 def named(item: str, option: str, wanted: str) -> tuple[str, str]:

@@ -123,7 +123,8 @@ def test_a_source_that_another_process_removes(tmp_path, monkeypatch):
     ("text", "key", "values"),
     [("16..128", "cells", [16, 32, 64, 128]), ("1e-1..1e-4", "eps", [1e-1, 1e-2, 1e-3, 1e-4]),
      ("h,h^2,1e-8", "eps", ["h", "h^2", 1e-8]), ("1..100:3", "define.f", [1, 10, 100]),
-     ("1e-4..1e-2", "eps", [1e-4, 1e-3, 1e-2]), ("penalty,vi", "method", ["penalty", "vi"])],
+     ("1e-4..1e-2", "eps", [1e-4, 1e-3, 1e-2]), ("penalty,vi", "method", ["penalty", "vi"]),
+     ("min(x,max(-1,y)),-3", "obstacle.lower", ["min(x,max(-1,y))", -3]), ("[1,0],[2,0]", "k", [[1, 0], [2, 0]])],
 )  # fmt: skip
 def test_lists_of_values(text, key, values):
     assert values_of(text, key) == values

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from fenicsx_obstacle import Scene, polynomials
 from fenicsx_obstacle.scenes.derivative_bounds import ORDER
+from fenicsx_obstacle.scenes.formulas import FUNCTIONS
 from fenicsx_obstacle.scenes.mean_value_forms import Cells, OnCells
 from tests.conftest import membrane
 
@@ -91,6 +92,16 @@ def test_any_formula_on_any_triangle(text, x, seed):
         check_slopes(text, x[:1] + 0.05 * (x - x[:1]), seed)
 
 
+@pytest.mark.parametrize("argument", ["3*(x - 0.4)", "1/(x - 0.4)", "ln(abs(x - 0.4))"])
+@pytest.mark.parametrize("name", [name for name, (least, _) in FUNCTIONS.items() if least == 1])
+def test_functions_around_an_extremum_and_a_pole(name, argument):
+    """An extremum or a kink inside the cell, and an argument without a limit there."""
+    for x in (np.array([(-1, -1), (2, -1), (-1, 2)]), np.array([(0.3, 0), (0.6, 0), (0.3, 0.3)])):
+        check(f"{name}({argument})", x, 1)
+        check_linear(f"{name}({argument})", x, 1)
+        check_slopes(f"{name}({argument})", x, 1)
+
+
 SQUARE = np.array([[[0.25, 0.25], [0.5, 0.25], [0.5, 0.5]], [[0.5, 0.25], [0.75, 0.25], [0.75, 0.5]]])
 
 
@@ -104,6 +115,7 @@ SQUARE = np.array([[[0.25, 0.25], [0.5, 0.25], [0.5, 0.5]], [[0.5, 0.25], [0.75,
         ("where(r^2 - x^2 - y^2 == 0, 3, 4)", True, 0), ("where(x == 0.3, 1e9, 1)", [False, True], 0),
         ("where(x - y - 0.25 <= 0, 1, x)", True, [0, 1]), ("where(x + y < 0.8, 1, 2)", False, 0),
         ("where((x - 0.5)^2 > 0, 1, 2)", True, 0), ("where((x - 0.4)^2 > 0, 1, 2)", [False, True], 0),
+        ("atan(1/(x - 0.4))", [False, True], 1000), ("min(1/(x - 0.4), 1)", [False, True], [0, 0]),
     ],
 )  # fmt: skip
 def test_what_is_decided(text, whole, degree):

@@ -53,6 +53,16 @@ def test_obstacles_out_of_reach(given, most, element):
     assert np.isclose(compared(16, element, **nearer)[0].total, bound.total, rtol=1e-6)
 
 
+def test_kinks_of_boundary_values_inside_facets():
+    """A remainder, whose terms jump where it has a kink: its slope there is that of samples."""
+    boundary = [{"value": "(x % 0.35)*(0.35 - x % 0.35)"}]
+    fine = solve(scene(FINE, boundary=boundary))
+    for element in ("P1", "P2"):
+        answer = solve(scene(8, boundary=boundary), bound=True, element=element)
+        error = compare(answer, fine)["u"]["energy"]
+        assert error <= answer.bound.total <= 5 * error
+
+
 BLOCK = "max(abs(x - 1/2), abs(y - 1/2)) <= {}"
 
 

@@ -141,7 +141,7 @@ class ComponentSolution:
         pressure: Contact pressure, P1 or Q1: >= 0 at the lower bound, <= 0 at the upper one.
         contact: 1 at nodes in contact, 0 at the others.
         force: Sums of pressure times weight, >= 0, such as `force[1].lower`.
-        area: Of the contact set.
+        area: Sum of the weights of the nodes in contact.
         penetration: Largest distance beyond a bound.
         method: vi, penalty or successive.
         eps: Penalty parameter; None for vi.

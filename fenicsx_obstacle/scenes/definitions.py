@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import keyword
-import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -182,9 +180,7 @@ def _definitions(typed: Tables, source: str) -> dict[str, Formula]:
     known = {*CONSTANTS, *COORDINATES, "distance", *([] if typed.time is None else [TIME])}
     for key, value in typed.define.items():
         place = f"{source}: [define] {key}"
-        if not key.isidentifier() or keyword.iskeyword(key) or unicodedata.normalize("NFKC", key) != key:
-            wanted = "letters, digits and _, and no word of Python"
-            raise InputError(f"{place}: not a name; take {wanted}")
+        formulas.check_name(key, place)
         if key in RESERVED:
             raise InputError(f"{place}: '{key}' has a meaning already; choose another name")
         definitions[key] = formulas.parse(value, place)

@@ -6,7 +6,9 @@ One tree, two alphabets: NumPy arrays for data at nodes, UFL for the exact solut
 from __future__ import annotations
 
 import ast
+import keyword
 import math
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -38,6 +40,16 @@ FUNCTIONS = {
 }
 FUNCTIONALS = {"integral": (1, 3), "at": (2, 4), "sup": (1, 1), "inf": (1, 1)}  # in [report] only
 OVER_NODES = {"max": "sup", "min": "inf"}  # there, of one argument
+
+
+def check_name(name: str, place: str) -> None:
+    """Check that a formula can use this name.
+
+    Raises:
+        InputError: If not.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
+        raise InputError(f"{place}: not a name; take letters, digits and _, and no word of Python")
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from fenicsx_obstacle.errors import InputError
 from fenicsx_obstacle.scenes.definitions import FIELDS, JUMP, NORMAL_FLUX, RESERVED, Definitions
-from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, parse
+from fenicsx_obstacle.scenes.formulas import FUNCTIONALS, Formula, check_name, parse
 from fenicsx_obstacle.text import nearest
 
 # of elastic bodies: fields, and numbers that are known without a functional
@@ -26,8 +26,7 @@ def parse_report(scene: Definitions) -> dict[str, Formula]:
     found, quantities = dict[str, Formula](), _quantities(scene)
     for name, value in scene.tables.report.items():
         place = f"{scene.source}: [report] {name}"
-        if not name.isidentifier():
-            raise InputError(f"{place}: a name has letters, digits and _ only")
+        check_name(name, place)
         formula = parse(value, place, functionals=True)
         itself = formula.text == name and name in quantities  # in the output under its own name
         if (name in RESERVED | quantities and not itself) or name in scene.define:
