@@ -183,7 +183,7 @@ def typed(given: dict[str, Any]) -> dict[str, Any]:
     changes = {key: _value(text) for key, text in settings}
     if isinstance(given.get("eps"), str):
         given["eps"] = _value(given["eps"])
-    return {**changes, **given}
+    return {**given, **changes}
 
 
 def along_text(text: str) -> tuple[list[float], list[float]]:

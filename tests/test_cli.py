@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from fenicsx_obstacle import InputError, releases
-from fenicsx_obstacle.cli_options import values_of
+from fenicsx_obstacle.cli_options import typed, values_of
 from fenicsx_obstacle.launcher import mpirun
 from tests.conftest import CLEAN, DEMOS, slow_except
 from tests.helpers import inside, run, run_python
@@ -215,3 +215,10 @@ def test_log_has_rank_and_time(ranks, tmp_path):
     assert {rank for rank, _ in found} == {str(rank) for rank in range(ranks)}
     assert sum("eps=0.1" in text for _, text in found) == ranks
     assert any(text.startswith("step 0: ") for _, text in found)
+
+
+def test_short_names_in_settings():
+    """--set cells=5 is --cells 5, where the option is not given."""
+    assert typed({"cells": None, "eps": "h", "set_": ["cells=5", "define.q=1e3"]}) == {
+        "cells": 5, "eps": "h", "define.q": 1e3
+    }  # fmt: skip

@@ -225,6 +225,19 @@ def test_a_measure_has_the_facets_of_its_kind(kind, place):
         assert largest(COMM, everywhere.u.x.array) < 1.1e-6
 
 
+@pytest.mark.parametrize(("kind", "place"), [("ds", 1.0), ("dS", 0.5)])
+def test_a_nonlinear_form_on_the_facets_of_the_contact(kind, place):
+    """The tags of the caller in the form and in the measure of the contact: penalty and VI agree."""
+    own, forces = Membrane(8), []
+    measure = ufl.Measure(kind, domain=own.mesh, subdomain_data=tagged(own.mesh, 1, at(1.0, 0.5), inside=True))
+    own.F += own.u**3 * own.v * ufl.dx - (ufl.avg(own.v) if kind == "dS" else own.v) * measure(3)
+    for options in ({"eps": 1e-9}, {"method": "vi"}):
+        own.u.x.array[:] = 0.0
+        found = own.problem(bcs=[held(own, 0)], upper=0.01, measure=measure(3)).solve(**options)
+        forces.append(found.force.upper)
+    assert forces[0] == pytest.approx(forces[1], rel=1e-6) and forces[1] > 1
+
+
 @pytest.mark.parametrize("cells", [2, 4, 16])
 def test_measures_of_another_mesh(cells):
     """A measure or MeshTags of another mesh, for the contact or within a form: an error on all ranks."""

@@ -247,8 +247,10 @@ class Forms:
         if not any(integral.integral_type() == "interior_facet" for integral in one.integrals()):
             return fem.petsc.create_matrix(self._stiffness)
         # the penalty couples cells on both sides of a facet: entries that the first assembly does not fill are lost
-        A = fem.petsc.create_matrix(self._form("jacobian"))
-        fem.petsc.assemble_matrix(A, self._form("jacobian"))
+        across = ufl.avg(ufl.TrialFunction(self.w.function_space)) * ufl.avg(self.v) * ufl.dS
+        coupled = releases.form(self._slope + across)
+        A = fem.petsc.create_matrix(coupled)
+        fem.petsc.assemble_matrix(A, coupled)
         A.assemble()
         self.jacobian(A, penalised=False)
         return A
@@ -256,8 +258,10 @@ class Forms:
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         """Fill A with the derivative of the residual; rows and columns of fixed dofs are those of the identity."""
         A.zeroEntries()
-        fem.petsc.assemble_matrix(A, self._form("jacobian") if penalised else self._stiffness, [self._bc])
-        A.assemble()
+        # each by itself: measures of the caller and of the contact may have tags of their own, which no form may mix
+        for form in (self._stiffness, self._form("contact slope")) if penalised else (self._stiffness,):
+            fem.petsc.assemble_matrix(A, form, [self._bc])
+            A.assemble()
 
     def energy(self, *, penalised: bool, moving: bool = True) -> float:
         """a(u, u)/2 - f(u), and the energy of the penalty; what belongs to a step in time only if `moving`."""
@@ -301,8 +305,8 @@ class Forms:
                 form = penalty_energy(self.w, dI=self.rule.on(self.measure), **gaps)
             else:
                 form = penalty(self.w, self.v, rule=self.rule, measure=self.measure, **gaps)
-            if name == "jacobian":
-                form = self._slope + ufl.derivative(form, self.w)
+            if name == "contact slope":
+                form = ufl.derivative(form, self.w)
             self._made[name] = releases.form(form)
         return self._made[name]
 

@@ -344,7 +344,7 @@ def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     not."""
     corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
     size = np.maximum(np.abs(y.lower), np.abs(y.upper))
-    margin = 1e-12 * np.where(np.isfinite(size), size, 0.0)
+    margin = 1e-12 * np.where(np.isfinite(size) & (y.degree <= 1), size, 0.0)
     across = (x.lower < 0) & (y.lower < -margin) & (y.upper > margin)
     below = (x.lower < 0) & (y.lower < -margin) & ~across
     angles = []

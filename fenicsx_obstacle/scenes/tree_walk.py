@@ -5,7 +5,8 @@ its degree as a polynomial, whether it is one expression on the whole cell (no c
 there), and whether it is defined.
 
 A condition that changes on the boundary of a cell alone, up to 1e-12 of the numbers that are compared, counts as
-decided. Where intervals do not decide and the numbers compared are polynomials, their Bernstein coefficients may.
+decided, if what remains is thin: less than 1e-6 of the width of the cell. Where intervals do not decide and the numbers
+compared are polynomials, their Bernstein coefficients may.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS, COORDINATES, Voc
 
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
+THIN = 1e-7  # of the range of a function in a cell
+UNDERFLOW = 1e-290  # interval arithmetic makes 0 a number of this size
 POINTS = 30_000  # in which a formula is evaluated together: what is made of them fits into the cache of a core
 Distance = Callable[[np.ndarray], np.ndarray]
 
@@ -45,6 +48,11 @@ class Cells:
         """Take them; see the attributes."""
         self.vocabulary, self.corners, self.distance = vocabulary, corners, distance
         self.count = len(corners)
+
+    @property
+    def width(self) -> np.ndarray:
+        """A bound of the diameter of each cell."""
+        return np.linalg.norm(np.ptp(self.corners, axis=1), axis=1)
 
     def of(self, cells: np.ndarray) -> Cells:
         """A selection of the cells."""
@@ -226,11 +234,12 @@ class TreeWalk:
 
     def _floor(self, a: Enclosure) -> Enclosure:
         """Decided where it is one number inside the cell."""
-        margin = TOUCHING * np.maximum(np.maximum(np.abs(a.lower), np.abs(a.upper)), 1.0)  # integers differ by 1
-        varies = a.upper - a.lower > 4 * margin
-        low = np.floor(np.where(varies & a.whole, a.lower + margin, a.lower))
-        # affine functions are largest on the boundary of a cell alone; 1 - y^2 is 1 on a line that may be inside
-        affine = varies & a.whole & (a.degree <= 1)
+        # affine functions are largest and least on the boundary of a cell alone; 1 - y^2 is 1 on a line that may be
+        # inside, and x^20 nearly 0 in most of a cell
+        affine = a.whole & (a.degree <= 1) & (a.upper > a.lower)
+        size = np.maximum(np.maximum(np.abs(a.lower), np.abs(a.upper)), 1.0)  # integers differ by 1
+        margin = np.where(affine, np.minimum(TOUCHING * size, THIN * (a.upper - a.lower)), 0.0)
+        low = np.floor(a.lower + margin)
         high = np.where(affine, np.ceil(a.upper - margin) - 1, np.floor(a.upper))
         one = (high <= low) & a.whole
         found = intervals.of_bounds(np.floor(a.lower), np.floor(a.upper), NO_POLYNOMIAL).cut(~one)
@@ -302,13 +311,14 @@ class TreeWalk:
             low, high = low.copy(), high.copy()
             for d in np.unique(degree[open_]):
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
-                values, least, most, allowance = self._sharp(part, int(d), cells)
+                values, least, most, rounding = self._sharp(part, int(d), cells)
                 low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
-                allowance = np.maximum(allowance if d <= 1 else 0.0, TOUCHING * scale[cells])
+                touching = np.maximum(rounding if d <= 1 else 0.0, TOUCHING * scale[cells])
+                allowance = np.maximum(rounding if d <= 2 else UNDERFLOW, self._thin(a, values, cells, touching))
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
                 inside = (least < -allowance) & (most > allowance)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
-                nothing = polynomials.row_size(values) <= allowance
+                nothing = polynomials.row_size(values) <= touching
                 above, below = high[cells] > allowance, low[cells] < -allowance
                 unclear = (nothing & (not polynomial)) | ~(nothing | above | below) | ~np.isfinite(values).all(axis=1)
                 up[cells] = (above & ~nothing) | unclear
@@ -316,6 +326,24 @@ class TreeWalk:
                 zero[cells] = nothing | unclear | inside
             self.undecided.append((part, up & down & whole))
         return Sign(up, down, zero)
+
+    def _thin(self, a: Enclosure, values: np.ndarray, cells: np.ndarray, touching: np.ndarray) -> np.ndarray:
+        """How near to 0 a number may come so that it is nearer in a thin part of a cell alone; 0 if this is not known.
+
+        With values that differ by s, its slope in the direction from one to the other is at least s/4 by the width of
+        the cell, all over it, if second derivatives change the slope by less than the rest of s. Then it is less than d
+        on 4 d/s of the width. Without this it may be less on much of the cell, as exp(240*x) - 1000 on (0, 1/4), or
+        x^20.
+
+        Args:
+            a: Bounds of the number.
+            values: At some points of these cells.
+            cells: Some of the cells.
+            touching: What round-off is.
+        """
+        spread = polynomials.row_max(values) - polynomials.row_min(values)
+        bent = np.broadcast_to(2 * a.derivative(2), self.cells.count)[cells] * self.cells.width[cells] ** 2
+        return np.where(bent <= 0.75 * spread, np.minimum(touching, THIN * spread), 0.0)
 
     def _sharp(self, part: Formula, degree: int, cells: np.ndarray) -> tuple[np.ndarray, ...]:
         """Values at some points, and bounds over cells with their round-off: of a polynomial by Bernstein coefficients,
