@@ -99,6 +99,8 @@ def test_voronoi_areas_are_consistent(mesh):
     inner = ~problem.fixed
     lumped = out.array[inner] / problem.weights[inner]
     assert largest(COMM, np.abs(lumped + 2 * problem.level.mesh.topology.dim)) < 1e-9
+    pressed = solve(scene.change({"effects.load": "1 + x", "obstacle.upper": 0.01, "report.force": "-integral(p)"}))
+    assert pressed.report["force"] == pytest.approx(pressed.force.upper, rel=1e-12)
 
 
 def test_obtuse_meshes_have_no_voronoi_areas():

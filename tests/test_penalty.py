@@ -92,6 +92,26 @@ def test_on_part_of_the_boundary(space):
     assert abs(total(COMM, rows) - 0.5 * 4) < 1e-13
 
 
+@pytest.mark.parametrize("cell", [dmesh.CellType.triangle, dmesh.CellType.quadrilateral])
+def test_beside_terms_with_a_rule_of_one_point(cell):
+    """u and an obstacle at one point of the cells, or at the nodes, in other terms of F: the penalty is what it is in a
+    form of its own, and so is its derivative. FFCx takes a value of the one point for those of all rules."""
+    mesh = releases.settle(dmesh.create_unit_square(COMM, 4, 4, cell))
+    V = releases.functionspace(mesh, "Lagrange", 1)
+    u, v, g, x = fem.Function(V), ufl.TestFunction(V), fem.Function(V), ufl.SpatialCoordinate(mesh)
+    u.interpolate(lambda x: np.sin(5 * x[0]) - x[1])
+    g.interpolate(lambda x: 0.1 + 0.2 * x[1])
+    for measure in (ufl.dx, ufl.ds):
+        rule = nodal_rule(releases.cell_name(mesh) if measure is ufl.dx else "interval")
+        F = (u + g + x[0]) * v * measure(degree=0) + ufl.exp(u) * v * rule.on(measure)
+        term = penalty(u, v, upper=g + x[0], eps=1e-2, measure=measure)
+        parts = assembled(F, V) + assembled(term, V)
+        assert largest(COMM, np.abs(assembled(term, V))) > 0.1
+        assert np.allclose(assembled(F + term, V), parts, rtol=1e-12, atol=1e-12)
+        along = [assembled(ufl.derivative(form, u, g), V) for form in (F + term, F, term)]
+        assert np.allclose(along[0], along[1] + along[2], rtol=1e-12, atol=1e-12)
+
+
 def test_component_of_a_vector():
     """Any scalar UFL: the vertical displacement of a vector field against a floor."""
     mesh = releases.settle(dmesh.create_unit_square(COMM, 3, 3))

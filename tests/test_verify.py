@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 
-from fenicsx_obstacle import InputError, ObstacleProblem, solve
+from fenicsx_obstacle import InputError, ObstacleProblem, Scene, solve
 from fenicsx_obstacle.algebra.stopping import Stopping
 from fenicsx_obstacle.check.finding import violated
 from fenicsx_obstacle.check.reference import FreeRows, active_sets
@@ -76,6 +76,20 @@ def test_demos(name):
 def test_elements(element, method):
     found = solve("ball", cells=10, element=element, method=method).verify()
     assert found, str(found)
+
+
+@pytest.mark.parametrize("element", ["P1", "P2"])
+def test_the_load_of_error_bounds(element):
+    """A bound needs the means of the load in the cells, which differ from its samples: solutions with and without one
+    are right, saved ones too, and one solve of a problem does not change the next."""
+    mesh = {"shape": "rectangle", "cells": 6}
+    scene = Scene(mesh=mesh, tension=1, load="where(x < 0.503, -20, 0)", lower=-0.1).change({"solve.element": element})
+    assert all(solve(scene, **options).verify() for options in ({"bound": True}, {"tol": 0.4}))
+    problem = scene.problem()
+    solutions = [problem.solve(bound=bound) for bound in (False, True, False, True)]
+    assert all(solution.verify() for solution in solutions)
+    energies = [solution.energy for solution in solutions]
+    assert np.allclose(energies[2:], energies[:2], rtol=1e-9) and abs(energies[1] / energies[0] - 1) > 1e-9
 
 
 def with_fields(solution, **fields):

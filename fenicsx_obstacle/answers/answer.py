@@ -89,7 +89,12 @@ class Answer(Solution):
         from fenicsx_obstacle.check.verification import verify
         from fenicsx_obstacle.discrete.problem import Problem
 
-        return verify(Problem(self.data()), self)
+        problem = Problem(self.data())
+        if self.bound is not None:
+            from fenicsx_obstacle.estimation.bound import Estimator
+
+            Estimator(problem).set_load(resolved=True)
+        return verify(problem, self)
 
     def data(self) -> Data:
         """The scene's data on the mesh of the answer; with [time] those at the end."""

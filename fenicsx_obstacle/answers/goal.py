@@ -92,6 +92,8 @@ class GoalAdaptation(Adaptation):
                 self._bounded = context.estimator is not None
         answer = self._guaranteed(context) if self._bounded else None
         if answer is None:
+            if self._bounded:
+                context.estimator.set_load(resolved=False)
             self._bounded, answer = False, self.with_eps(context, lambda: self._refined(context))
             reason = unresolved(context.problem.data)  # no finer mesh is known to have a jump at the right place
             reason = BETWEEN if reason is None and self._hidden else reason

@@ -138,8 +138,7 @@ class SolverContext:
         from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
         estimator = Estimator(self.problem)
-        if self.problem.affine:
-            estimator.use_estimator_load()
+        estimator.set_load(resolved=True)
         return estimator
 
     @cached_property

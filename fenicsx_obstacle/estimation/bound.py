@@ -117,6 +117,8 @@ class Estimator:
         """
         check_bound_exists(problem)
         self.problem = problem
+        self._before: np.ndarray | None = None  # the forces of the problem without those of `set_load`
+        self._added: np.ndarray | None = None
         if problem.model.elastic.affine:  # otherwise the tension is that of the state
             self._prepare()
 
@@ -135,11 +137,19 @@ class Estimator:
         self._load_rest = self._friedrichs * sqrt(total(comm, simplices.size * load.rest**2))
         self._hypotheses = Hypotheses(simplices, self.element.data_in_cells(), self.element.dirichlet)
 
-    def use_estimator_load(self) -> None:
-        """Replace the load of the problem by that of the quadrature used here, which resolves jumps (collective)."""
-        equilibration = self.element.equilibration
-        self.problem.nodal_forms.add_forces(equilibration.missing)
-        equilibration.missing = np.zeros_like(equilibration.missing)
+    def set_load(self, *, resolved: bool) -> None:
+        """Give an affine problem the load of the quadrature used here, which resolves jumps, or its own one again
+        (collective)."""
+        if not self.problem.affine or resolved == (self._added is not None):
+            return
+        equilibration, forms, added = self.element.equilibration, self.problem.nodal_forms, self._added
+        if added is None:
+            self._before, self._added = forms.forces, equilibration.missing
+            forms.add_forces(equilibration.missing)
+            equilibration.missing = np.zeros_like(equilibration.missing)
+        else:
+            forms.add_forces(-added)
+            forms.forces, equilibration.missing, self._added = self._before, added, None
 
     @property
     def sampled(self) -> bool:

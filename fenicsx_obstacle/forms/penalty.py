@@ -9,6 +9,8 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
+from ufl.classes import Derivative, SpatialCoordinate
+from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
@@ -78,11 +80,26 @@ def penalty(
             )
         _check_nodes(space, degree)
         rule = nodal_rule(cell, degree)
-    dI = rule.on(measure)
     eps = _constant(domain, eps)
     above = 0 if upper is None else (1 / eps) * positive_part(u - upper)
     below = 0 if lower is None else (1 / eps) * positive_part(lower - u)
-    return (above - below) * v * dI
+    value = above - below
+    if isinstance(measure, ufl.Measure) and measure.integral_type() != "interior_facet" and len(rule.points) > 1:
+        value, rule = _apart(value), rule.reversed
+    return value * v * rule.on(measure)
+
+
+def _apart(value: Any) -> Any:
+    """The same value, in a form to which a caller adds it.
+
+    Where a rule of another term has a single point, as that of u*dot(b, grad(v)) on triangles, FFCx (0.5 to 0.11) takes
+    u of this point at the points of all rules. A restriction, which means nothing on one cell, tells them apart. Terms
+    with one rule must not have both: that of the penalty has its points in an order of its own.
+    """
+    nodes = list(unique_pre_traversal(value))
+    if any(isinstance(node, Derivative) for node in nodes):
+        return value
+    return ufl.replace(value, {one: one("+") for one in nodes if isinstance(one, ufl.Coefficient | SpatialCoordinate)})
 
 
 def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any = None) -> ufl.Form:

@@ -39,6 +39,11 @@ class Rule:
     points: tuple[tuple[float, ...], ...]
     weights: tuple[float, ...]
 
+    @property
+    def reversed(self) -> Rule:
+        """The same rule, with its points in the opposite order."""
+        return Rule(self.points[::-1], self.weights[::-1])
+
     def on(self, measure: Any) -> Any:
         """The same measure, integrated by this rule."""
         # tuples, not arrays: UFL hashes the metadata

@@ -350,6 +350,7 @@ class ObstacleProblem:
         if self._components is not None:
             return cast(Any, self._solved_in_components(self._components, eps, method, rtol, bound, monitor))
         estimator = self._estimator if bound else None  # raises before anything is solved
+        self._set_load(bound)
         outcome, state = self._solved(eps, method, rtol, monitor)
         problem, level = self._problem, self._problem.level
         began = started - self._setup_seconds
@@ -389,6 +390,7 @@ class ObstacleProblem:
         if self._components is not None:
             raise InputError(f"{self.name}: verify is not for bounds of components")
         self._check_kept()
+        self._set_load(solution.bound is not None)
         with releases.compiled_with(*self._compiled):
             return verify(self._problem, solution, self._of_contact(solution) if self._vector_valued else None)
 
@@ -548,10 +550,12 @@ class ObstacleProblem:
             )
         from fenicsx_obstacle.estimation.bound import Estimator  # only if requested
 
-        estimator = Estimator(self._problem)
-        if self._problem.affine:
-            estimator.use_estimator_load()
-        return estimator
+        return Estimator(self._problem)
+
+    def _set_load(self, bounded: bool) -> None:
+        """The load of solutions with an error bound, or that of others (collective)."""
+        if bounded or "_estimator" in self.__dict__:
+            self._estimator.set_load(resolved=bounded)
 
     def _diagonal(self) -> np.ndarray:
         """A_ii at owned nodes where u is free, for A the derivative of F at the present state (collective)."""

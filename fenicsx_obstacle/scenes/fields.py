@@ -9,7 +9,7 @@ import numpy as np
 
 from fenicsx_obstacle.effects.field import Enclosed, Field, Names, TimeBounds
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.scenes.formulas import NUMPY, TWO_VALUED, Formula, ufl_alphabet
+from fenicsx_obstacle.scenes.formulas import NUMPY, TWO_VALUED, Formula, angle, ufl_alphabet
 from fenicsx_obstacle.scenes.vocabulary import CONSTANTS, COORDINATES, TIME, Vocabulary
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class FormulaField(Field):
         # a "cell" is an interval of t: the coordinates are numbers in it, and derivatives are those by t
         walk = TreeWalk(Cells(self.vocabulary, np.empty((x.shape[1], 0, 0))))
         fixed = dict(zip("xyz", x, strict=True))
-        fixed |= {"r": np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2), "theta": np.arctan2(x[1], x[0])}
+        fixed |= {"r": np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2), "theta": angle(x[1], x[0])}
         if self.needs_distance:
             fixed["distance"] = self._known(x, names)["distance"]
         walk.known.update({name: intervals.of_bounds(values, values, 0) for name, values in fixed.items()})

@@ -322,13 +322,18 @@ def _where(condition: Any, yes: Any, no: Any) -> Any:
     return np.where(np.isnan(condition), np.nan, np.where(condition != 0, yes, no))
 
 
+def angle(y: Any, x: Any) -> Any:
+    """atan2(y, x), with pi, not -pi, where y is -0 and x is negative."""
+    return np.arctan2(y + 0.0, x)
+
+
 NUMPY: dict[str, Callable[..., Any]] = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "^": _power, "%": np.mod,
     "<": _comparison(np.less), "<=": _comparison(np.less_equal), ">": _comparison(np.greater),
     ">=": _comparison(np.greater_equal), "==": _comparison(np.equal), "!=": _comparison(np.not_equal),
     "and": _and, "or": _or, "not": _not, "where": _where,
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "ln": np.log,
+    "atan2": angle, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "ln": np.log,
     "log": np.log, "log10": np.log10, "sqrt": np.sqrt, "abs": np.abs, "sign": np.sign, "floor": np.floor,
     "hypot": np.hypot, "min": np.minimum, "max": np.maximum,
 }  # fmt: skip

@@ -191,7 +191,11 @@ class Report:
             yield self._on_facets(self.level.facets[names[0]], self.level.groups[names[1]] if len(names) > 1 else None)
             return
         points, weights = self._rule(self._reference.dim)
-        for block in _parts(self.level.groups[names[0]] if names else self._every, len(weights)):
+        pair, cells = self.level.pair, self.level.groups[names[0]] if names else self._every
+        if pair.own_weights and self.scene.needs(expression) & set(OF_CONTACT):  # p is known with its weights alone
+            yield Points(cells, np.eye(self._reference.dim + 1)[None], pair.cell_weights(self._corners[cells]))
+            return
+        for block in _parts(cells, len(weights)):
             yield Points(block, points[None], self._reference.measures(block, points[None]) * weights)
 
     def _on_facets(self, facets: np.ndarray, seen_from: np.ndarray | None) -> Points:

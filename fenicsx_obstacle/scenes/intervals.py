@@ -329,7 +329,10 @@ def acos(a: Enclosure) -> Enclosure:
 
 
 def hypot(a: Enclosure, b: Enclosure) -> Enclosure:
-    return sqrt(add(power(a, 2), power(b, 2)))
+    root = sqrt(add(power(a, 2), power(b, 2)))
+    # the squares may be too large or too small for a number
+    ends = (np.hypot(size(a), size(b)) for size in (_smallest, _largest))
+    return replace(_made(*ends, root.degree, a, b, slopes=root.slopes), square=root.square)
 
 
 def distance(root: Enclosure) -> Enclosure:
@@ -341,21 +344,21 @@ def distance(root: Enclosure) -> Enclosure:
 
 def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     """It jumps across the negative x-axis, which counts as a condition; on one side of it, the axis included, it does
-    not."""
+    not, unless y is 0 on a part of the cell, as min(y, 0)."""
     corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
     size = np.maximum(np.abs(y.lower), np.abs(y.upper))
     margin = 1e-12 * np.where(np.isfinite(size) & (y.degree <= 1), size, 0.0)
-    across = (x.lower < 0) & (y.lower < -margin) & (y.upper > margin)
-    below = (x.lower < 0) & (y.lower < -margin) & ~across
+    across = (x.lower < 0) & (y.lower < -margin) & ((y.upper > margin) | ((y.upper >= 0) & ~y.whole))
+    above, below = (x.lower < 0) & (y.lower >= -margin), (x.lower < 0) & (y.lower < -margin) & ~across
     angles = []
     for v, u in corners:
-        v = np.where(below, np.minimum(v, -0.0), np.where((x.lower < 0) & (y.lower >= -margin), np.maximum(v, 0.0), v))
-        angle = np.arctan2(v, u)
-        angles.append(np.where(below & (angle == pi), -pi, angle))
+        v = np.where(below, np.minimum(v, -0.0), np.where(above, np.maximum(v, 0.0) + 0.0, v))
+        turn = np.arctan2(v, u)
+        angles.append(np.where(below & (turn == pi), -pi, turn))
     origin = (x.lower <= 0) & (x.upper >= 0) & (y.lower <= 0) & (y.upper >= 0)
     low, high = np.minimum.reduce(angles), np.maximum.reduce(angles)
     low = np.where(across | origin, np.where(y.lower >= -margin, 0.0, -pi), low)
-    high = np.where(across | origin, np.where((y.upper <= margin) & (y.lower < -margin), 0.0, pi), high)
+    high = np.where(across | origin, np.where((y.upper <= margin) & (y.lower < -margin) & ~across, 0.0, pi), high)
     turning = derivative_bounds.angle(np.hypot(_smallest(x), _smallest(y)), x.slopes, y.slopes)
     through = origin & ((y.lower == y.upper) | (x.lower == x.upper))  # along an axis it jumps at the origin
     nowhere = (y.lower == y.upper) & (x.lower == x.upper) & origin  # the origin alone: no angle

@@ -19,7 +19,7 @@ import numpy as np
 from fenicsx_obstacle import polynomials
 from fenicsx_obstacle.effects.field import Enclosed, Truth
 from fenicsx_obstacle.scenes import intervals
-from fenicsx_obstacle.scenes.formulas import BINARY, Formula, is_condition
+from fenicsx_obstacle.scenes.formulas import BINARY, Formula, angle, is_condition
 from fenicsx_obstacle.scenes.intervals import Enclosure, add, constant, divide, multiply, negative
 from fenicsx_obstacle.scenes.tree_walk import Cells, TreeWalk
 from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS
@@ -201,7 +201,7 @@ class _Forms:
             r = intervals.hypot(self._walk.name("x"), self._walk.name("y"))
             over_x, over_y = (divide(self._walk.name(axis), r).clipped(-1.0, 1.0) for axis in "xy")
             slopes = self._along(negative(divide(over_y, r)), divide(over_x, r), ZERO)
-            return _unless_cut(self._walk.name(name), Form(_point(np.arctan2(y, x)), slopes))
+            return _unless_cut(self._walk.name(name), Form(_point(angle(y, x)), slopes))
         defined = self._walk.cells.vocabulary.define[name]
         return self.form(defined, defined.tree)
 

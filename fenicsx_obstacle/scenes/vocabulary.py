@@ -95,7 +95,7 @@ class Vocabulary:
         if "r" in needed:
             names["r"] = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
         if "theta" in needed:
-            names["theta"] = np.arctan2(x[1], x[0])
+            names["theta"] = formulas.angle(x[1], x[0])
         for key in (key for key in self.define if key in needed):
             names[key] = self.define[key].on_arrays(names, alphabet)
         return np.broadcast_to(formula.on_arrays(names, alphabet), x.shape[1:])
