@@ -57,6 +57,7 @@ CASES = {
     "somewhat soft": (Form(2, 16, two_parts(0.25, 2e-2)), {"upper": only_left(0.25, 2e-3)}),
     "mostly stiff": (Form(2, 16, two_parts(0.25, 1e6), -1.0), {"lower": -1e-8}),
     "soft rod": (Form(1, 64, two_parts(0.1, 1e-8)), {"upper": only_left(0.1, 1e-4)}),
+    "a load that is large beside the height": (Form(2, 8, two_parts(0.5, 1.0), -1e12), {"lower": -0.05}),
     "reaction": (Form(2, 8, lambda u, x: 1e-4, 2.0, lambda u: 50 * u**3), {"lower": 0.0, "upper": 0.1}),
 }
 

@@ -31,7 +31,8 @@ AIM = 0.1  # of that: the penetration that a new eps is chosen for
 TOO_SOFT = 10.0  # times eps_share: eps A_ii/D_i at a contact node from which on eps does not fit the stiffness there
 LOWERED = 1e-3  # from one eps to the next for a nonlinear problem, at least: its stiffness changes with u
 MOST_SOLVES = 12
-FLAT = 1e-8  # of the penetration: a smaller range of u is round-off, and no scale for it
+FLAT = 1e-8  # of the penetration: a smaller range of u may be round-off, and then is no scale for it
+DIGITS = 1e-12  # of given values and obstacles: larger differences of them are no round-off
 
 
 class NoPositiveDiagonal(InputError):
@@ -218,17 +219,25 @@ def fitting_eps(problem: System, eps: float) -> float:
     penetration, height = penetration_and_range(problem)
     if penetration == 0.0:
         return eps
-    if FLAT * penetration < height and penetration > PENETRATION * height:
+    scaled = FLAT * penetration < height or _differ(problem)
+    if scaled and penetration > PENETRATION * height:
         fitting = AIM * PENETRATION * height / penetration * eps
     elif (share := share_in_parts(problem)) > PENETRATION:
         fitting = AIM * PENETRATION / share * eps
-    elif FLAT * penetration < height and (moved := _moved_by_penetration(problem, PENETRATION * height)) > 0:
+    elif scaled and (moved := _moved_by_penetration(problem, PENETRATION * height)) > 0:
         fitting = AIM * PENETRATION * height / moved * eps
     if problem.tension() is None:  # otherwise eps is that of the largest tension
         least = problem.eps_share * smallest(comm, _compliance_in_contact(problem) * _of_median_size(problem))
         if eps > TOO_SOFT * least:
             fitting = min(fitting, least)
     return eps if fitting < eps and _presses_by_round_off(problem, eps) else fitting
+
+
+def _differ(problem: System) -> bool:
+    """Whether given values and obstacles in contact are not all the same (collective)."""
+    known = np.clip(problem.u, *problem.obstacles())[problem.fixed | (_excess(problem) > 0)]
+    most, least = largest(problem.comm, known), smallest(problem.comm, known)
+    return most - least > DIGITS * max(abs(most), abs(least))
 
 
 def _moved_by_penetration(problem: System, allowed: float) -> float:

@@ -24,6 +24,7 @@ from fenicsx_obstacle.text import counted
 
 ROUND_OFF = 1e-8  # of the largest value: what is below zero by round-off
 ROUND_OFF_OF_ENTRIES = 1e-10  # of the entries of a matrix
+SINGULAR = 1e-14  # of the largest eigenvalue: a smaller one is round-off
 STARTS = 6  # points that a search begins with
 STEPS = 24  # a step is halved where it leads no further: 24 halvings reach 1e-7 of the first
 CANDIDATES = 50  # points at which the worst values are looked for in the mesh
@@ -146,8 +147,9 @@ def check_definite(level: Level, rows: Rows, matrices: np.ndarray) -> None:
     skew = np.abs(matrices - matrices.transpose(0, 2, 1))
     if largest(comm, skew) > ROUND_OFF_OF_ENTRIES * largest(comm, np.abs(matrices)):
         raise InputError(f"{place}: is not symmetric; entries differ by {largest(comm, skew):.3g}")
-    least = smallest(comm, np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2))
-    if least <= 0:
+    eigenvalues = np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
+    if smallest(comm, eigenvalues[:, 0] - SINGULAR * eigenvalues[:, -1]) <= 0:
+        least = smallest(comm, eigenvalues)
         raise InputError(f"{place}: must be positive definite; its least eigenvalue is {least:.3g}")
 
 

@@ -28,11 +28,13 @@ from fenicsx_obstacle.mesh.cells import cell_volumes
 from fenicsx_obstacle.mesh.levels import Level
 from fenicsx_obstacle.mesh.shared_dofs import share
 from fenicsx_obstacle.mesh.tags import check_both_sides
-from fenicsx_obstacle.parallel import total
+from fenicsx_obstacle.parallel import largest, total
 from fenicsx_obstacle.text import counted, nearest
 
 if TYPE_CHECKING:
     from fenicsx_obstacle.data.measures import Parts, Weighted
+
+ROUND_OFF = 1e-12  # of the largest value of a datum
 
 
 class Data(Samples):
@@ -364,7 +366,7 @@ class Data(Samples):
         function = self._on_dofs(field, self.dofs_on(self.facets[part]))
         share(function)
         if least is not None:
-            self._refuse(field, function, function.x.array < least, f"must be at least {least:g}; it is")
+            self._raise_to(field, function, least)
         return function
 
     @cached_property
@@ -423,11 +425,19 @@ class Data(Samples):
             if isinstance(made, fem.Function):
                 average(self, field, made)
         if least is not None:
-            self._refuse(field, made, array_of(made) < least, f"must be at least {least:g}; it is")
+            self._raise_to(field, made, least)
         bound = 0.0 if positive else least
         if bound is not None and (field, positive, least) not in self._cellwise:  # once: not for each moment
             self._check_between(field, bound, "be positive" if positive else f"be at least {bound:g}")
         return made
+
+    def _raise_to(self, field: Field, made: Cellwise, least: float) -> None:
+        """Reject values below the least one, and raise those that are it but for round-off (collective)."""
+        values = array_of(made)
+        limit = least - ROUND_OFF * max(largest(self.level.comm, np.abs(values)), 0.0)
+        self._refuse(field, made, values < limit, f"must be at least {least:g}; it is")
+        if isinstance(made, fem.Function):
+            np.maximum(values, least, out=values)
 
     def _check_between(self, field: Field, bound: float, what: str) -> None:
         """Reject values below a bound at points that are no midpoints of cells (collective)."""

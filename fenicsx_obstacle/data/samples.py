@@ -171,7 +171,7 @@ class Samples:
             found = self._first(function, bad)
             where = "" if found is None else f" at {self.place(found[1])}"
         if found is not None:
-            because = "" if field is None else field.because(found[1], self.now)
+            because = "" if field is None else field.because(found[1], self.names(field))
             because += hint if np.isinf(found[0]) else ""
             raise InputError(f"{words or f'{field}:'} {what} {found[0]:g}{where}{because}")
 

@@ -83,6 +83,10 @@ class NonlinearVectorForms(VectorForms):
     def forces_at(self, u_values: np.ndarray | float) -> np.ndarray:
         return Forms.forces_at(self, u_values)  # not by the matrix, which is that of one state
 
+    def energy(self, *, penalised: bool, moving: bool = True) -> float:
+        self.take_displacement()
+        return Forms.energy(self, penalised=False, moving=moving) + (self.penalty_energy() if penalised else 0.0)
+
     def jacobian(self, A: PETSc.Mat, *, penalised: bool) -> None:
         self.take_displacement()
         self.renew(A, stiffness=True)

@@ -331,8 +331,8 @@ def acos(a: Enclosure) -> Enclosure:
 def hypot(a: Enclosure, b: Enclosure) -> Enclosure:
     root = sqrt(add(power(a, 2), power(b, 2)))
     # the squares may be too large or too small for a number
-    ends = (np.hypot(size(a), size(b)) for size in (_smallest, _largest))
-    return replace(_made(*ends, root.degree, a, b, slopes=root.slopes), square=root.square)
+    least, most = (np.hypot(size(a), size(b)) for size in (_smallest, _largest))
+    return replace(_made(least, most, root.degree, a, b, slopes=root.slopes), square=root.square)
 
 
 def distance(root: Enclosure) -> Enclosure:
