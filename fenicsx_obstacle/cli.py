@@ -78,12 +78,13 @@ def solve(
         answer, drawn = report_answer(answer, folder, picture=picture, newton=newton, started=STARTED)
     if json_file is not None:
         write_json(json_file, [answer.record])
-    if not quiet and json_file != "-":
+    spoken = not quiet and json_file != "-"
+    if spoken:
         tell(answer.summary() + f"\n  {drawn}\n  saved in {folder}, {PAGE} has all results")
-    if checked is not None:
-        tell(str(checked))
-        if not checked:
-            return WRONG
+    if checked is not None and (spoken or not checked):
+        tell(str(checked), error=not spoken)
+    if checked is not None and not checked:
+        return WRONG
     return tolerance_status(answer.record, folder)
 
 

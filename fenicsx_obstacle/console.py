@@ -101,11 +101,11 @@ def tolerance_status(record: Mapping[str, Any], folder: Path) -> int:
     return NOT_REACHED
 
 
-def tell(text: str) -> None:
-    """Print on rank 0."""
+def tell(text: str, *, error: bool = False) -> None:
+    """Print on rank 0, or on its standard error."""
     if _ranks().rank == 0:
-        with beside_bars(sys.stdout):
-            click.echo(text)
+        with beside_bars(sys.stderr if error else sys.stdout):
+            click.echo(text, err=error)
 
 
 def check_places(folder: Path, json_file: str | None, latex: Path | None = None) -> None:

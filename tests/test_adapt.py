@@ -52,6 +52,9 @@ def test_eps_is_lowered_until_the_mesh_decides():
     held = solve(scene.change({"solve.eps": 1e-2}), tol=3e-2)
     assert held.record["eps"] == 1e-2 and not held.record["adaptive"]["reached"]
     assert "eps = 0.01 alone contributes" in held.summary()
+    # a formula in h is that of the largest cells, which are refined too; without h it is a number
+    assert solve(scene.change({"solve.eps": "h^2"}), tol=0.1).adaptive.reached
+    assert "eps = 0.02 alone contributes" in solve(scene.change({"solve.eps": "2*0.01"}), tol=3e-2).summary()
 
 
 def test_eps_is_lowered_to_round_off_where_the_mesh_has_no_error():

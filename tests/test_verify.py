@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -365,5 +366,8 @@ def test_command(tmp_path, monkeypatch):
     done = inside("solve", "ball", "--cells", 8, "--method", "vi", "--verify", cwd=tmp_path)
     assert done.returncode == 3
     assert done.stdout.splitlines()[-1] == "verdict: wrong"
+    done = inside("solve", "ball", "--cells", 8, "--method", "vi", "--verify", "--json", "-", cwd=tmp_path)
+    assert done.returncode == 3 and json.loads(done.stdout)["scene"] == "ball"
+    assert done.stderr.splitlines()[-1] == "verdict: wrong"
     done = inside("solve", ROOT / "demos" / "put.toml", "--verify", cwd=tmp_path)
     assert (done.returncode, "[time]: --verify checks equilibria" in done.stderr) == (2, True)

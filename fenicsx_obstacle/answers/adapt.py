@@ -142,6 +142,7 @@ class Adaptation:
         self.work: list[Work] = []
         self._solves = 0  # on the present mesh
         self._since = _now()  # the work for the present mesh began
+        self._everywhere = False  # the mesh before was refined
 
     def meshes(self, unknowns: float = np.inf) -> Generator[tuple[SolverContext, Answer], None, None]:
         """Each solver context and its answer, from the coarsest mesh of the scene on; the last comes twice if `full`.
@@ -163,7 +164,7 @@ class Adaptation:
                 yield context, answer
                 self._since = _now()
                 assert self.error.indicator is not None
-                finer = context.refined(marked(self.error.indicator, self.share(), self.comm))
+                finer = context.refined(self._marked(self.error.indicator))
                 benches.append(finer)
                 if finer.problem.level.dofs > unknowns:
                     self.full = True
@@ -173,6 +174,13 @@ class Adaptation:
                 context = finer
         finally:
             close(benches)
+
+    def _marked(self, indicator: np.ndarray) -> np.ndarray:
+        """The owned cells to refine (collective): all where the part of the penalty is the larger one, and eps is a
+        formula in h of the user, which is that of the largest cells."""
+        share, formula = self.share(), self.given and not isinstance(self.options.eps, float)
+        self._everywhere = formula and self.tolerance > 0 and self.error.penalty > self.error.discretisation
+        return np.ones(len(indicator), dtype=bool) if self._everywhere else marked(indicator, share, self.comm)
 
     def work_of(self, context: SolverContext, cells: np.ndarray) -> Work:
         """The work for the mesh with these owned cells refined, which does not belong to the path (collective)."""
@@ -318,7 +326,8 @@ class Adaptation:
         limit, penalty = self.limit(), self.error.penalty
         if self.error.total <= limit:
             return ""
-        if isinstance(self.options.eps, float) and self.given and penalty > limit:
+        fixed = isinstance(self.options.eps, float) or (self._everywhere and self.path[-1]["eps"] >= self.path[-2]["eps"])
+        if fixed and self.given and penalty > limit:
             return f"eps = {answer.record['eps']:.3g} alone contributes {penalty:.3g}; omit eps, so that it is chosen"
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]

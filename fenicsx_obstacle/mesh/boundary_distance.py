@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenicsx_obstacle.errors import InputError
-from fenicsx_obstacle.mesh.cells import corners, facet_vertices, sides
+from fenicsx_obstacle.mesh.cells import corners, facet_corners, sides
 from fenicsx_obstacle.mesh.levels import Level
 
 FIRST = 8  # candidates of the first round
@@ -29,8 +29,11 @@ class BoundaryDistance:
         if mesh.geometry.dim != mesh.topology.dim:
             raise InputError("'distance' to the boundary is not available on curves and surfaces in space")
         cells, numbers, _ = sides(mesh, level.boundary_facets)
-        vertices = np.array(facet_vertices(mesh.topology.dim))[numbers]
-        self.facets = np.concatenate(level.comm.allgather(corners(mesh)[cells[:, None], vertices]))
+        vertices = np.array(facet_corners(mesh))[numbers]
+        facets = corners(mesh)[cells[:, None], vertices]
+        if facets.shape[1] == 4:  # a rectangle is two triangles
+            facets = np.concatenate([facets[:, :3], facets[:, 1:]])
+        self.facets = np.concatenate(level.comm.allgather(facets))
         if not len(self.facets):
             raise InputError("'distance': this domain has no boundary")
         centres = self.facets.mean(axis=1)

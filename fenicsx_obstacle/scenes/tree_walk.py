@@ -28,6 +28,7 @@ from fenicsx_obstacle.scenes.vocabulary import AXES, CONSTANTS, COORDINATES, Voc
 
 MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 TOUCHING = 1e-12  # of the numbers compared
+EQUAL = 1e-14  # of the numbers compared: they are the same all over a cell
 THIN = 1e-7  # of the range of a function in a cell
 UNDERFLOW = 1e-290  # interval arithmetic makes 0 a number of this size
 POINTS = 30_000  # in which a formula is evaluated together: what is made of them fits into the cache of a core
@@ -236,9 +237,9 @@ class TreeWalk:
         """Decided where it is one number inside the cell."""
         # affine functions are largest and least on the boundary of a cell alone; 1 - y^2 is 1 on a line that may be
         # inside, and x^20 nearly 0 in most of a cell
-        affine = a.whole & (a.degree <= 1) & (a.upper > a.lower)
-        size = np.maximum(np.maximum(np.abs(a.lower), np.abs(a.upper)), 1.0)  # integers differ by 1
-        margin = np.where(affine, np.minimum(TOUCHING * size, THIN * (a.upper - a.lower)), 0.0)
+        round_off = TOUCHING * np.maximum(np.maximum(np.abs(a.lower), np.abs(a.upper)), 1.0)  # integers differ by 1
+        affine = a.whole & (a.degree <= 1) & (a.upper - a.lower > 4 * round_off)
+        margin = np.where(affine, np.minimum(round_off, THIN * (a.upper - a.lower)), 0.0)
         low = np.floor(a.lower + margin)
         high = np.where(affine, np.ceil(a.upper - margin) - 1, np.floor(a.upper))
         one = (high <= low) & a.whole
@@ -318,7 +319,7 @@ class TreeWalk:
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
                 inside = (least < -allowance) & (most > allowance)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
-                nothing = polynomials.row_size(values) <= touching
+                nothing = polynomials.row_size(values) <= np.maximum(rounding if d <= 1 else 0.0, EQUAL * scale[cells])
                 above, below = high[cells] > allowance, low[cells] < -allowance
                 unclear = (nothing & (not polynomial)) | ~(nothing | above | below) | ~np.isfinite(values).all(axis=1)
                 up[cells] = (above & ~nothing) | unclear
