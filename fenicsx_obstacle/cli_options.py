@@ -165,12 +165,20 @@ def interval(item: str) -> tuple[str, tuple[float, float]]:
 
 def _value(text: str) -> Any:
     """A number or list as TOML reads it, otherwise the text itself, such as a formula."""
-    for read in (int, float, lambda text: tomllib.loads(f"v = {text}")["v"]):
+    for read in (int, float, _toml):
         try:
             return read(text)
         except ValueError:
             continue
     return text.strip()
+
+
+def _toml(text: str) -> Any:
+    """One value of TOML; between brackets a comment, or a second key, is none."""
+    values = tomllib.loads(f"v = [{text}, 0]")["v"]
+    if len(values) != 2:
+        raise ValueError("not one value")
+    return values[0]
 
 
 def typed(given: dict[str, Any]) -> dict[str, Any]:

@@ -59,6 +59,8 @@ def check_writable(folder: Path, files: Mapping[str, Path]) -> None:
     for option, file in files.items():
         if file.is_dir():
             raise InputError(f"{option} {file}: is a folder; name a file")
+        if file.suffix == ".toml" and file.exists():
+            raise InputError(f"{option} {file}: is a scene, which would be lost; name another file")
         if not _is_device(file):
             _probe(file.parent, option)
 

@@ -219,6 +219,8 @@ def test_log_has_rank_and_time(ranks, tmp_path):
 
 def test_short_names_in_settings():
     """--set cells=5 is --cells 5, where the option is not given."""
+    for text in ("-20#x", "-10\neffects.load=3", "1, 2"):
+        assert typed({"set_": [f"define.q={text}"]}) == {"define.q": text}
     assert typed({"cells": None, "eps": "h", "set_": ["cells=5", "define.q=1e3"]}) == {
         "cells": 5, "eps": "h", "define.q": 1e3
     }  # fmt: skip

@@ -241,6 +241,22 @@ def test_large_strains():
 
 
 @pytest.mark.slow
+def test_contact_alone_holds_a_body_of_a_nonlinear_law():
+    """A block on a slope, with u_x = 0 on one side and large strains: contact bears the load, by either method."""
+    body = Body(Cell.triangle, 1, [8, 4])
+    ds = body.tagged(above=lambda x: np.isclose(x[1], 0.5), below=lambda x: np.isclose(x[1], 0))
+    gradient, unit = ufl.grad(body.u), ufl.Identity(2)
+    strain = ((unit + gradient).T * (unit + gradient) - unit) / 2
+    F = ufl.derivative(ufl.inner(stress(strain, 0.3), strain) / 2 * ufl.dx, body.u, body.v) + 0.03 * body.v[1] * ds(3)
+    problem = ObstacleProblem(F, body.u, bcs=body.held(lambda x: np.isclose(x[0], 0), 0), of=-body.u[1],
+                              upper=0.005 + 0.01 * body.x[0], measure=ds(4))  # fmt: skip
+    for method in ("penalty", "vi"):
+        found = problem.solve(method=method)
+        assert found.force.upper == pytest.approx(0.03, rel=1e-6)
+        assert found.verify()
+
+
+@pytest.mark.slow
 def test_data_that_change():
     """A second solve takes new values of Constants, of the obstacle and of bcs, and starts from the last contact."""
     body = Box(8)

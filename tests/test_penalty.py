@@ -1,8 +1,10 @@
 """The public penalty(): one added line in somebody else's residual."""
 
+import importlib
 import sys
 from functools import partial
 
+import basix
 import numpy as np
 import pytest
 import ufl
@@ -179,9 +181,14 @@ def test_obstacles_and_elements_without_values_at_the_nodes(space):
     with pytest.raises(InputError, match=r"eps = .*: expected a number"):
         contact_pressure(u, lower=0.0, eps=2 * fem.Constant(space.mesh, 1.0))
     others = ((triangle, "CR", 1), (dmesh.CellType.quadrilateral, "DPC", 1), (dmesh.CellType.quadrilateral, "S", 2))
-    for V in (cells_of(*other) for other in others):
-        with pytest.raises(InputError, match="whose dofs are not all values at the nodes"):
-            penalty(fem.Function(V), ufl.TestFunction(V), lower=0.0, eps=1.0)
+    line, kind = releases.settle(dmesh.create_unit_interval(COMM, 4)), basix.LagrangeVariant.bernstein
+    made = basix.ufl.element if hasattr(basix, "ufl") else importlib.import_module("basix.ufl_wrapper").create_element
+    bernstein = releases.space_of(line, made("Lagrange", "interval", 2, kind))
+    for V in (*(cells_of(*other) for other in others), bernstein):
+        w = fem.Function(V)
+        for term in (partial(penalty, w, ufl.TestFunction(V)), partial(contact_pressure, w)):
+            with pytest.raises(InputError, match="whose dofs are not all values at the nodes"):
+                term(lower=0.0, eps=1.0)
     V = cells_of(triangle, "Lagrange", 2)  # Simpson's rule on its edges has positive weights
     form = penalty(fem.Function(V), ufl.TestFunction(V), upper=-1.0, eps=1.0, measure=ufl.ds)
     assert total(COMM, assembled(form, V)) == pytest.approx(4)

@@ -85,7 +85,7 @@ BALANCES = {
     "interval": ({"shape": "interval", "cells": 7}, ("left", "right"), {"load": 1, "tension": "1 + x"}),
     "contact": ({"shape": "l-shape", "cells": 12}, ("outer", "notch"), {"load": -9, "lower": -0.03}),
     **{
-        element: ({"shape": "rectangle", "x": [0, 1.5], "cells": 8, "cell": CELLS[element]},
+        element: ({"shape": "rectangle", "x": [0, 1.5], "cells": 8, "cell": CELLS[element], "perturb": 0.1},
                   ("left", "right", "bottom", "top"), {"tension": "1 + x", "load": -8, "lower": -0.1})
         for element in ("P2", "Q1", "Q2")
     },

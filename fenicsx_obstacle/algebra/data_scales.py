@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenicsx_obstacle.algebra.affine import Affine
 from fenicsx_obstacle.algebra.system import LIMIT, System
 from fenicsx_obstacle.parallel import largest, smallest, total
 
@@ -78,7 +79,7 @@ def stiffness_of(problem: System, *, exact_bounds: bool) -> np.ndarray:
         problem: The system.
         exact_bounds: Whether bounds hold contact. Otherwise A has the penalty diagonal of the last step.
     """
-    if exact_bounds and problem.affine and problem.nodal:
+    if exact_bounds and isinstance(problem.law, Affine):  # A has a large diagonal where bounds hold
         return problem.matrices.diagonal * ~problem.fixed
     if not problem.A.assembled:  # no step was needed
         state = problem.vector()

@@ -326,8 +326,8 @@ class Adaptation:
         limit, penalty = self.limit(), self.error.penalty
         if self.error.total <= limit:
             return ""
-        fixed = isinstance(self.options.eps, float) or (self._everywhere and self.path[-1]["eps"] >= self.path[-2]["eps"])
-        if fixed and self.given and penalty > limit:
+        number = self._everywhere and self.path[-1]["eps"] >= self.path[-2]["eps"]  # or a formula without h
+        if self.given and penalty > limit and (number or isinstance(self.options.eps, float)):
             return f"eps = {answer.record['eps']:.3g} alone contributes {penalty:.3g}; omit eps, so that it is chosen"
         before = self.path[-2]["seconds"] if len(self.path) > 1 else 0.0
         now = self.path[-1]["seconds"]

@@ -49,7 +49,8 @@ def penalty(
         lower: Lower obstacle, a number, a Constant, a Function or a UFL expression; None if there is none.
         upper: Upper obstacle, of the same kinds; None if there is none.
         rule: Quadrature rule I; by default `nodal_rule` for the element of v.
-        measure: Where contact can happen; by default the whole domain, `ds(3)` for a part of the boundary.
+        measure: Where contact can happen; by default the whole domain, `ds(3)` for a part of the boundary. Over facets
+            inside, `dS`, assemble the term as a form of its own if another term takes u at a single point of a facet.
 
     Returns:
         A linear form in v.
@@ -78,7 +79,7 @@ def penalty(
                 f"penalty: v has degree {degree} on a {cell}: the nodes have no quadrature rule with positive weights; "
                 "take degree 1, or degree 2 with ObstacleProblem"
             )
-        _check_nodes(space, degree)
+        _check_nodes(space, degree, "penalty: v")
         rule = nodal_rule(cell, degree)
     eps = _constant(domain, eps)
     above = 0 if upper is None else (1 / eps) * positive_part(u - upper)
@@ -135,6 +136,7 @@ def contact_pressure(u: Any, *, eps: Any, lower: Any = None, upper: Any = None) 
     if not isinstance(u, fem.Function) or u.function_space.component():
         raise InputError(f"contact_pressure: u = {shown(u)}: expected a Function; of a part take u.sub(0).collapse()")
     space = u.function_space
+    _check_nodes(space, releases.called(space.ufl_element().degree), "contact_pressure: u")
     _check_obstacles("contact_pressure", lower, upper, space.mesh.ufl_domain())
     value = _positive(getattr(eps, "value", eps), "contact_pressure: eps")
     p = fem.Function(space, name="p")
@@ -194,7 +196,7 @@ def _check_obstacles(name: str, lower: Any, upper: Any, domain: Any, *, at_nodes
             )
 
 
-def _check_nodes(space: Any, degree: int) -> None:
+def _check_nodes(space: Any, degree: int, place: str) -> None:
     """Reject elements whose dofs are not values at the nodes of Lagrange elements of this degree (local).
 
     Raises:
@@ -208,9 +210,9 @@ def _check_nodes(space: Any, degree: int) -> None:
     for part in parts:
         layout = part.dofmap.dof_layout
         on_facets = not (layout.entity_dofs(0, 0) or layout.entity_dofs(dim, 0))  # Crouzeix and Raviart
-        if layout.num_dofs != nodes or on_facets:
+        if layout.num_dofs != nodes or on_facets or not part.element.interpolation_ident:
             raise InputError(
-                f"penalty: v is of {space.ufl_element()}, whose dofs are not all values at the nodes of degree {degree}"
+                f"{place} is of {space.ufl_element()}, whose dofs are not all values at the nodes of degree {degree}"
                 ": take Lagrange elements, and for a part of a mixed space rule=nodal_rule(cell, degree of this part)"
             )
 

@@ -146,7 +146,8 @@ def lagrange_degree(V: fem.FunctionSpace) -> int | None:
     """Degree, 1 or 2, of continuous Lagrange elements; None of other elements (local)."""
     layout, dim, simplex = V.dofmap.dof_layout, V.mesh.topology.dim, releases.cell_name(V.mesh) in SIMPLICES
     of_dofs = {comb(dim + k, k) if simplex else (k + 1) ** dim: k for k in (1, 2)}  # in a cell
-    return of_dofs.get(layout.num_dofs) if len(layout.entity_dofs(0, 0)) == 1 else None
+    nodal = len(layout.entity_dofs(0, 0)) == 1 and V.element.interpolation_ident
+    return of_dofs.get(layout.num_dofs) if nodal else None
 
 
 def _linear(cell: str) -> Any:

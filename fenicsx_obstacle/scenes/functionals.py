@@ -13,7 +13,7 @@ import ast
 from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 
 import numpy as np
 from dolfinx import fem
@@ -191,12 +191,26 @@ class Report:
             yield self._on_facets(self.level.facets[names[0]], self.level.groups[names[1]] if len(names) > 1 else None)
             return
         points, weights = self._rule(self._reference.dim)
-        pair, cells = self.level.pair, self.level.groups[names[0]] if names else self._every
-        if pair.own_weights and self.scene.needs(expression) & set(OF_CONTACT):  # p is known with its weights alone
-            yield Points(cells, np.eye(self._reference.dim + 1)[None], pair.cell_weights(self._corners[cells]))
+        cells = self.level.groups[names[0]] if names else self._every
+        if self.scene.needs(expression) & set(OF_CONTACT) and self._lumped is not None:
+            yield Points(cells, np.eye(self._lumped.shape[1])[None], self._lumped[cells])
             return
         for block in _parts(cells, len(weights)):
             yield Points(block, points[None], self._reference.measures(block, points[None]) * weights)
+
+    @cached_property
+    def _lumped(self) -> np.ndarray | None:
+        """Weights of the vertices in owned cells, shape (cells, vertices), where these, which the pressure has, differ
+        from integrals of the basis functions: Voronoi areas, and those of quadrilaterals and hexahedra that are no
+        parallelograms; None elsewhere (collective)."""
+        pair, reference = self.level.pair, self._reference
+        if pair.own_weights:
+            return pair.cell_weights(self._corners[self._every])
+        if reference.simplex or not pair.at_vertices:
+            return None
+        sizes = reference.measures(self._every, np.eye(2**reference.dim)[None])
+        bent = total(self.level.comm, np.count_nonzero(np.ptp(sizes, axis=1) > EQUAL * sizes.max(axis=1, initial=0.0)))
+        return sizes / sizes.shape[1] if bent > 0 else None
 
     def _on_facets(self, facets: np.ndarray, seen_from: np.ndarray | None) -> Points:
         """Points on facets. On a curve inside slope and flux are means of both sides, the normal flux and the jump

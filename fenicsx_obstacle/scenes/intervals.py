@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, reduce
 from math import pi
-from operator import or_
+from operator import and_, or_
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from fenicsx_obstacle.effects.field import NO_POLYNOMIAL, Bounds, Truth
 from fenicsx_obstacle.scenes import derivative_bounds
 from fenicsx_obstacle.scenes.derivative_bounds import NONE, Series, has_nan
+from fenicsx_obstacle.scenes.formulas import NUMPY
 
 MOST = 2.0**50  # of integers whose quotients are rounded across no integer
 _ROUND_OFF = 8 * np.finfo(float).eps  # relative; mathematical libraries are right to a few units
@@ -74,9 +75,11 @@ def constant(value: float) -> Enclosure:
 
 
 def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Series, defined: Any = True) -> Enclosure:
-    """Rounded outward; what is not a number bounds nothing."""
+    """Rounded outward, but where parents are single points, or it is 0; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
+    if point.any():
+        point &= reduce(and_, (p.lower == p.upper for p in parents)) | (lower == 0)
     below, above = np.subtract(lower, _rounding(lower)), np.add(upper, _rounding(upper))
     if point.any() or lower.shape != upper.shape:
         below, above = np.where(point, lower, below), np.where(point, upper, above)
@@ -172,9 +175,9 @@ def _through(a: Enclosure, outer: Series) -> Series:
 
 
 def _inverse(b: Enclosure) -> Enclosure:
-    """Infinite where the divisor may be 0."""
+    """Infinite where the divisor may be 0; of either sign where it may be 0, or -0, on a part of the cell."""
     lower, upper = 1 / b.upper, 1 / b.lower
-    within = (b.lower < 0) & (b.upper > 0)
+    within = (b.lower < 0) & (b.upper > 0) | ((b.lower <= 0) & (b.upper >= 0) & ~b.whole)
     zero = (b.lower == 0) & (b.upper == 0)
     lower = np.where(within | zero | (b.upper == 0), -np.inf, lower)
     upper = np.where(within | zero | (b.lower == 0), np.inf, upper)
@@ -211,6 +214,15 @@ def raised(a: Enclosure, b: Enclosure) -> Enclosure:
     if not b.is_number:
         return exp(multiply(b, log(a)))
     exponent = float(b.lower)
+    found, point = _raised(a, exponent), a.lower == a.upper
+    if not point.any():
+        return found
+    value = NUMPY["^"](a.lower, exponent)
+    exact = point & np.isfinite(value)
+    return replace(found, lower=np.where(exact, value, found.lower), upper=np.where(exact, value, found.upper))
+
+
+def _raised(a: Enclosure, exponent: float) -> Enclosure:
     if abs(exponent) <= 1e6 and exponent == round(exponent):
         n = int(exponent)
         return power(a, n) if n >= 0 else _inverse(power(a, -n))
