@@ -105,7 +105,8 @@ def test_functions_around_an_extremum_and_a_pole(name, argument):
 @pytest.mark.parametrize("text", [
     "where(exp(240*x) - 1e3 < 0, 1, 2)", "where(1e13*x^8 - 1 < 0, 1, 2)", "sign(sinh(240*x) - 1e3)",
     "floor((4*x)^40/4 - 1e-13)", "atan2(exp(240*x) - 1e3, -1)", "atan2(min(y - 0.1, 0), -1)",
-    "atan2(floor(y - 0.1), -1)", "atan2(-0*x, -1)", "hypot(1e-200, 0*x)*1e200", "1e200/hypot(1, 1e200*(x + 1))",
+    "atan2(floor(y - 0.1), -1)", "atan2(where(x < 0.1, -1e-13, 1), -1)",
+    "atan2(-0*x, -1)", "hypot(1e-200, 0*x)*1e200", "1e200/hypot(1, 1e200*(x + 1))",
     "atan(1/min(y - 0.1, 0))", "floor(cos(x/1e7))", "floor(0.001^(-2)) + 0*x",
 ])  # fmt: skip
 def test_numbers_that_are_small_in_a_part_of_a_cell(text):

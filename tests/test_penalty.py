@@ -95,23 +95,30 @@ def test_on_part_of_the_boundary(space):
 
 
 @pytest.mark.parametrize("cell", [dmesh.CellType.triangle, dmesh.CellType.quadrilateral])
-def test_beside_terms_with_a_rule_of_one_point(cell):
+@pytest.mark.parametrize("kind", ["dx", "ds"])
+def test_beside_terms_with_a_rule_of_one_point(cell, kind):
     """u and an obstacle at one point of the cells, or at the nodes, in other terms of F: the penalty is what it is in a
-    form of its own, and so is its derivative. FFCx takes a value of the one point for those of all rules."""
+    form of its own, and so is its derivative, in any order, and with u replaced. FFCx takes values of one point for
+    those of all rules."""
     mesh = releases.settle(dmesh.create_unit_square(COMM, 4, 4, cell))
-    V = releases.functionspace(mesh, "Lagrange", 1)
+    mesh.geometry.x[:, 0] += 0.1 * mesh.geometry.x[:, 0] * mesh.geometry.x[:, 1]
+    V, measure = releases.functionspace(mesh, "Lagrange", 1), getattr(ufl, kind)
     u, v, g, x = fem.Function(V), ufl.TestFunction(V), fem.Function(V), ufl.SpatialCoordinate(mesh)
     u.interpolate(lambda x: np.sin(5 * x[0]) - x[1])
     g.interpolate(lambda x: 0.1 + 0.2 * x[1])
-    for measure in (ufl.dx, ufl.ds):
-        rule = nodal_rule(releases.cell_name(mesh) if measure is ufl.dx else "interval")
-        F = (u + g + x[0]) * v * measure(degree=0) + ufl.exp(u) * v * rule.on(measure)
-        term = penalty(u, v, upper=g + x[0], eps=1e-2, measure=measure)
-        parts = assembled(F, V) + assembled(term, V)
-        assert largest(COMM, np.abs(assembled(term, V))) > 0.1
-        assert np.allclose(assembled(F + term, V), parts, rtol=1e-12, atol=1e-12)
-        along = [assembled(ufl.derivative(form, u, g), V) for form in (F + term, F, term)]
-        assert np.allclose(along[0], along[1] + along[2], rtol=1e-12, atol=1e-12)
+    rule = nodal_rule(releases.cell_name(mesh) if kind == "dx" else "interval")
+    b = ufl.as_vector([1.0, 2.0])
+    others = [(u + g + x[0]) * v * measure(degree=0), ufl.exp(u) * v * rule.on(measure)]
+    others += [u * ufl.dot(b, ufl.grad(v)) * measure] if cell == dmesh.CellType.triangle else []
+    term = penalty(u, v, upper=g + x[0], eps=1e-2, measure=measure)
+    expected = sum(assembled(form, V) for form in (*others, term))
+    along = sum(assembled(ufl.derivative(form, u, g), V) for form in (*others, term))
+    assert largest(COMM, np.abs(assembled(term, V))) > 0.1
+    for F in (sum(others) + term, term + sum(others), others[0] - -term + sum(others[1:])):
+        assert np.allclose(assembled(F, V), expected, rtol=1e-9, atol=1e-9)
+        assert np.allclose(assembled(ufl.derivative(F, u, g), V), along, rtol=1e-9, atol=1e-9)
+        replaced = sum(assembled(ufl.replace(form, {u: u + g}), V) for form in (*others, term))
+        assert np.allclose(assembled(ufl.replace(F, {u: u + g}), V), replaced, rtol=1e-9, atol=1e-9)
 
 
 def test_component_of_a_vector():

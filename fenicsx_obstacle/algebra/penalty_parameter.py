@@ -219,7 +219,7 @@ def fitting_eps(problem: System, eps: float) -> float:
     penetration, height = penetration_and_range(problem)
     if penetration == 0.0:
         return eps
-    scaled = FLAT * penetration < height or _differ(problem)
+    scaled = FLAT * penetration < height or (height > 0 and _differ(problem))
     if scaled and penetration > PENETRATION * height:
         fitting = AIM * PENETRATION * height / penetration * eps
     elif (share := share_in_parts(problem)) > PENETRATION:
@@ -234,7 +234,10 @@ def fitting_eps(problem: System, eps: float) -> float:
 
 
 def _differ(problem: System) -> bool:
-    """Whether given values and obstacles in contact are not all the same (collective)."""
+    """Whether given values and obstacles in contact are not all the same; not looked for in several fields, or where
+    the points of I are not nodes (collective)."""
+    if not problem.nodal or problem.fields is not None:
+        return False
     known = np.clip(problem.u, *problem.obstacles())[problem.fixed | (_excess(problem) > 0)]
     most, least = largest(problem.comm, known), smallest(problem.comm, known)
     return most - least > DIGITS * max(abs(most), abs(least))

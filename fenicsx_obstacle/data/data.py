@@ -34,7 +34,7 @@ from fenicsx_obstacle.text import counted, nearest
 if TYPE_CHECKING:
     from fenicsx_obstacle.data.measures import Parts, Weighted
 
-ROUND_OFF = 1e-12  # of the largest value of a datum
+ROUND_OFF = 2e-15  # of the largest value of a datum
 
 
 class Data(Samples):

@@ -92,8 +92,9 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
 
     Inside the contact set it is 1. Along the free boundary contact ends between nodes, and a node carries the load of
     the part of its surroundings that is in contact. With R(v) = a(v, .) - f its share is R_i(u)/R_i(v), v being u with
-    the neighbours on the obstacle, too. Both R_i(u), the pressure, and R_i(v) - R_i(u), which is linear in their gaps,
-    change continuously with the free boundary. For a uniform load on a string the area then has order 2 in h.
+    the neighbours on the obstacle, too, where they have one. Both R_i(u), the pressure, and R_i(v) - R_i(u), which is
+    linear in their gaps, change continuously with the free boundary. For a uniform load on a string the area then has
+    order 2 in h.
 
     Nodes at which u is given carry no pressure. Where the value is the obstacle's, they have the mean share of the
     nodes in contact in the cells around them. Where the points of I are not nodes, the share is 1 in contact.
@@ -114,9 +115,8 @@ def contact_shares(problem: Problem, pressure: np.ndarray, lower: np.ndarray, up
     ):  # fmt: skip
         if obstacle is None:
             continue
-        there = problem.elastic_at(
-            w - np.where(~inside & (problem.weights > 0), sign * np.clip(gap, 0.0, NO_BOUND), 0.0)
-        )
+        near = ~inside & (problem.weights > 0) & (gap < NO_BOUND)
+        there = problem.elastic_at(w - np.where(near, sign * np.maximum(gap, 0.0), 0.0))
         force = problem.weights[inside] * np.abs(pressure[inside])
         with np.errstate(invalid="ignore"):  # F may be infinite there
             more = sign * (there - here)[inside]

@@ -9,11 +9,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
-from ufl.classes import Derivative, SpatialCoordinate
-from ufl.corealg.traversal import unique_pre_traversal
 
 from fenicsx_obstacle import releases
 from fenicsx_obstacle.errors import InputError
+from fenicsx_obstacle.forms.beside_others import BesideOthers
 from fenicsx_obstacle.forms.pairs import SIMPLICES
 from fenicsx_obstacle.forms.rules import Rule, facet_of, has_nodal_rule, nodal_rule
 from fenicsx_obstacle.parallel import total
@@ -49,8 +48,7 @@ def penalty(
         lower: Lower obstacle, a number, a Constant, a Function or a UFL expression; None if there is none.
         upper: Upper obstacle, of the same kinds; None if there is none.
         rule: Quadrature rule I; by default `nodal_rule` for the element of v.
-        measure: Where contact can happen; by default the whole domain, `ds(3)` for a part of the boundary. Over facets
-            inside, `dS`, assemble the term as a form of its own if another term takes u at a single point of a facet.
+        measure: Where contact can happen; by default the whole domain, `ds(3)` for a part of the boundary.
 
     Returns:
         A linear form in v.
@@ -84,23 +82,7 @@ def penalty(
     eps = _constant(domain, eps)
     above = 0 if upper is None else (1 / eps) * positive_part(u - upper)
     below = 0 if lower is None else (1 / eps) * positive_part(lower - u)
-    value = above - below
-    if isinstance(measure, ufl.Measure) and measure.integral_type() != "interior_facet" and len(rule.points) > 1:
-        value, rule = _apart(value), rule.reversed
-    return value * v * rule.on(measure)
-
-
-def _apart(value: Any) -> Any:
-    """The same value, in a form to which a caller adds it.
-
-    Where a rule of another term has a single point, as that of u*dot(b, grad(v)) on triangles, FFCx (0.5 to 0.11) takes
-    u of this point at the points of all rules. A restriction, which means nothing on one cell, tells them apart. Terms
-    with one rule must not have both: that of the penalty has its points in an order of its own.
-    """
-    nodes = list(unique_pre_traversal(value))
-    if any(isinstance(node, Derivative) for node in nodes):
-        return value
-    return ufl.replace(value, {one: one("+") for one in nodes if isinstance(one, ufl.Coefficient | SpatialCoordinate)})
+    return BesideOthers(((above - below) * v * rule.on(measure)).integrals())
 
 
 def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any = None) -> ufl.Form:

@@ -390,7 +390,7 @@ class ObstacleProblem:
         if self._components is not None:
             raise InputError(f"{self.name}: verify is not for bounds of components")
         self._check_kept()
-        self._set_load(solution.bound is not None)
+        self._set_load(solution.bound is not None and self._form is None)
         with releases.compiled_with(*self._compiled):
             return verify(self._problem, solution, self._of_contact(solution) if self._vector_valued else None)
 

@@ -89,7 +89,7 @@ class Formula:
         unknown = {name for name in self.names if name not in known}
         for node in ast.walk(self.tree) if unknown else ():
             if isinstance(node, ast.Name) and node.id in unknown:
-                hint = "; t is for values in scenes with a table [time]" if node.id == "t" else nearest(node.id, known)
+                hint = "; t is for data that move, with a table [time]" if node.id == "t" else nearest(node.id, known)
                 raise InputError(self.pointing(node, f"unknown name '{node.id}'{hint}"))
 
     def part(self, node: ast.expr) -> Formula:

@@ -359,7 +359,7 @@ def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     not, unless y is 0 on a part of the cell, as min(y, 0)."""
     corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
     size = np.maximum(np.abs(y.lower), np.abs(y.upper))
-    margin = 1e-12 * np.where(np.isfinite(size) & (y.degree <= 1), size, 0.0)
+    margin = 1e-12 * np.where(np.isfinite(size) & (y.degree <= 1) & y.whole, size, 0.0)
     across = (x.lower < 0) & (y.lower < -margin) & ((y.upper > margin) | ((y.upper >= 0) & ~y.whole))
     above, below = (x.lower < 0) & (y.lower >= -margin), (x.lower < 0) & (y.lower < -margin) & ~across
     angles = []
