@@ -12,7 +12,7 @@ from fenicsx_obstacle import InputError, NotConverged, ObstacleProblem, Penetrat
 from fenicsx_obstacle.algebra.penalty_parameter import PENETRATION, _share_of_compliance
 from fenicsx_obstacle.parallel import largest, smallest
 from fenicsx_obstacle.releases import functionspace
-from tests.conftest import COMM
+from tests.conftest import COMM, membrane
 from tests.helpers import Membrane, outline
 from tests.test_elastic import Body, strain_of
 
@@ -80,6 +80,13 @@ def test_a_default_solve_is_the_inequality(name):
     again = problem.solve()
     assert again.eps == found.eps
     assert largest(COMM, np.abs(form.u.x.array - first)) <= 1e-8 * height
+
+
+@pytest.mark.parametrize("element", ["Q1", "Q1-gauss"])
+def test_contact_everywhere(element):
+    """u is flat, and the penetration has no scale: load 8 less the foundation's 0.2."""
+    scene = membrane(load=-8, lower=-0.2, foundation=1, boundary=[{"flux": 0}]).change({"solve.element": element})
+    assert solve(scene).force.lower == pytest.approx(7.8, rel=1e-3)
 
 
 @pytest.mark.parametrize("start", [1e-3, 1e-4])

@@ -82,7 +82,8 @@ def penalty(
     eps = _constant(domain, eps)
     above = 0 if upper is None else (1 / eps) * positive_part(u - upper)
     below = 0 if lower is None else (1 / eps) * positive_part(lower - u)
-    return BesideOthers(((above - below) * v * rule.on(measure)).integrals())
+    dI = rule.on(measure)
+    return BesideOthers(((above - below) * v * dI).integrals())
 
 
 def penalty_energy(u: Any, *, eps: Any, dI: Any, lower: Any = None, upper: Any = None) -> ufl.Form:

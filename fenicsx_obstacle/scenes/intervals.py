@@ -75,11 +75,11 @@ def constant(value: float) -> Enclosure:
 
 
 def _made(lower: Any, upper: Any, degree: Any, *parents: Enclosure, slopes: Series, defined: Any = True) -> Enclosure:
-    """Rounded outward, but where parents are single points, or it is 0; what is not a number bounds nothing."""
+    """Rounded outward, but where parents are single points, and 0 and infinity; what is not a number bounds nothing."""
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     point = lower == upper
     if point.any():
-        point &= reduce(and_, (p.lower == p.upper for p in parents)) | (lower == 0)
+        point &= reduce(and_, (p.lower == p.upper for p in parents)) | (lower == 0) | np.isinf(lower)
     below, above = np.subtract(lower, _rounding(lower)), np.add(upper, _rounding(upper))
     if point.any() or lower.shape != upper.shape:
         below, above = np.where(point, lower, below), np.where(point, upper, above)
