@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Any
 
 import ufl
@@ -23,14 +24,22 @@ from fenicsx_obstacle.forms.rules import centre_rule, facet_of
 class BesideOthers(ufl.Form):
     """A form by a nodal rule, and what is added to it: no rule in it has a single point."""
 
-    def integrals(self) -> tuple[Any, ...]:
+    @cached_property
+    def _with_several_points(self) -> tuple[Any, ...]:
         return tuple(_without_single_points(self._integrals))
 
+    def integrals(self) -> tuple[Any, ...]:
+        return self._with_several_points
+
     def __add__(self, other: Any) -> Any:
-        return BesideOthers((*self._integrals, *other._integrals)) if isinstance(other, ufl.Form) else self
+        if isinstance(other, ufl.Form):
+            return BesideOthers((*self._integrals, *other._integrals))
+        return super().__add__(other)
 
     def __radd__(self, other: Any) -> Any:
-        return BesideOthers((*other._integrals, *self._integrals)) if isinstance(other, ufl.Form) else self
+        if isinstance(other, ufl.Form):
+            return BesideOthers((*other._integrals, *self._integrals))
+        return super().__radd__(other)
 
     def __neg__(self) -> Any:
         return BesideOthers([-one for one in self._integrals])
