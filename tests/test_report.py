@@ -69,6 +69,14 @@ def test_contact_figures():
     assert "none = not finite" in answer.summary()
 
 
+def test_the_area_of_contact_ends_with_the_obstacle():
+    """A stop from -0.51 to 0.51, with no obstacle beside it: its last nodes bear the largest forces."""
+    stop = {"load": -10, "lower": "where(abs(x) < 0.51, -0.1, -1e20)"}
+    for cells in (16, 64):
+        mesh = {"shape": "interval", "x": [-1, 1], "cells": cells}
+        assert solve(membrane(mesh=mesh, **stop, boundary=[{"value": 0}])).area == pytest.approx(1.02, abs=2 / cells)
+
+
 def test_slope_on_an_edge_is_the_mean_of_both_sides():
     """u = |x - 1/2| on the middle of the interval has slopes 1 and 1, x^2 there 0.9 and 1.1."""
     scene = Scene(mesh={"shape": "interval", "cells": 10}, tension=1, load=-2,

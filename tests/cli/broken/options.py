@@ -99,6 +99,7 @@ def broken_options() -> Iterator[Broken]:
         ("output below /proc", ["solve", SCENE, "--output", "/proc/nowhere"], ["--output"]),
         ("output without name", ["solve", SCENE, "--output", ""], ["--output"]),
         ("JSON into a folder", ["solve", SCENE, "--json", "."], ["--json"]),
+        ("JSON onto the scene", ["solve", SCENE, "--json", SCENE], ["--json", "is a scene, which would be lost"]),
         ("JSON below a file", ["solve", SCENE, "--json", f"{SCENE}/a.json"], ["--json"]),
         ("LaTeX into a folder", ["study", SCENE, "--vary", "cells=2,4", "--latex", "."], ["--latex"]),
         ("LaTeX below a file", ["study", SCENE, "--vary", "cells=2,4", "--latex", f"{SCENE}/a"], ["--latex"]),
