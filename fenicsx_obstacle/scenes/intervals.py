@@ -358,7 +358,7 @@ def atan2(y: Enclosure, x: Enclosure) -> Enclosure:
     """It jumps across the negative x-axis, which counts as a condition; on one side of it, the axis included, it does
     not, unless y is 0 on a part of the cell, as min(y, 0)."""
     corners = [(v, u) for v in (y.lower, y.upper) for u in (x.lower, x.upper)]
-    size = np.maximum(np.abs(y.lower), np.abs(y.upper))
+    size = _largest(y)
     margin = 1e-12 * np.where(np.isfinite(size) & (y.degree <= 1) & y.whole, size, 0.0)
     across = (x.lower < 0) & (y.lower < -margin) & ((y.upper > margin) | ((y.upper >= 0) & ~y.whole))
     above, below = (x.lower < 0) & (y.lower >= -margin), (x.lower < 0) & (y.lower < -margin) & ~across

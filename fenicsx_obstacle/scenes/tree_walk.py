@@ -50,11 +50,6 @@ class Cells:
         self.vocabulary, self.corners, self.distance = vocabulary, corners, distance
         self.count = len(corners)
 
-    @property
-    def width(self) -> np.ndarray:
-        """A bound of the diameter of each cell."""
-        return np.linalg.norm(np.ptp(self.corners, axis=1), axis=1)
-
     def of(self, cells: np.ndarray) -> Cells:
         """A selection of the cells."""
         return Cells(self.vocabulary, self.corners[cells], self.distance)
@@ -314,12 +309,14 @@ class TreeWalk:
                 cells, polynomial = open_[degree[open_] == d], d <= polynomials.MAX_DEGREE
                 values, least, most, rounding = self._sharp(part, int(d), cells)
                 low[cells], high[cells] = np.fmax(low[cells], least), np.fmin(high[cells], most)
-                touching = np.maximum(rounding if d <= 1 else 0.0, TOUCHING * scale[cells])
+                equal, touching = EQUAL * scale[cells], TOUCHING * scale[cells]
+                if d <= 1:
+                    equal, touching = np.maximum(rounding, equal), np.maximum(rounding, touching)
                 allowance = np.maximum(rounding if d <= 2 else UNDERFLOW, self._thin(a, values, cells, touching))
                 # coefficients of one sign: it is 0 on the boundary of the cell at most, unlike y^2 across y = 0
                 inside = (least < -allowance) & (most > allowance)
                 # an expression without conditions that is not 0 at one place is 0 almost nowhere
-                nothing = polynomials.row_size(values) <= np.maximum(rounding if d <= 1 else 0.0, EQUAL * scale[cells])
+                nothing = polynomials.row_size(values) <= equal
                 above, below = high[cells] > allowance, low[cells] < -allowance
                 unclear = (nothing & (not polynomial)) | ~(nothing | above | below) | ~np.isfinite(values).all(axis=1)
                 up[cells] = (above & ~nothing) | unclear
@@ -343,7 +340,8 @@ class TreeWalk:
             touching: What round-off is.
         """
         spread = polynomials.row_max(values) - polynomials.row_min(values)
-        bent = np.broadcast_to(2 * a.derivative(2), self.cells.count)[cells] * self.cells.width[cells] ** 2
+        width = np.linalg.norm(np.ptp(self.cells.corners[cells], axis=1), axis=1)  # at least the diameter
+        bent = np.broadcast_to(2 * a.derivative(2), self.cells.count)[cells] * width**2
         return np.where(bent <= 0.75 * spread, np.minimum(touching, THIN * spread), 0.0)
 
     def _sharp(self, part: Formula, degree: int, cells: np.ndarray) -> tuple[np.ndarray, ...]:
